@@ -8,10 +8,13 @@ from __future__ import annotations
 import difflib
 import functools
 import inspect
+import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -111,12 +114,32 @@ def true_or_false(name: str, value: Any) -> bool:
     return bool(value)
 
 
+_kinds: ContextVar[set[str] | None] = ContextVar("kinds", default=None)  # of warnings, inside `warnings_once`
+_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?")
+
+
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn of something at the line outside of torchmbd (and torch and scipy, which call it back) that led to it."""
+    kinds = _kinds.get()
+    if kinds is not None:
+        kind = _NUMBER.sub("#", text)
+        if kind in kinds:
+            return
+        kinds.add(kind)
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INSIDE:
         frame, level = frame.f_back, level + 1
     warnings.warn(text, category, stacklevel=level)
+
+
+@contextmanager
+def warnings_once() -> Iterator[None]:
+    """Warnings of torchmbd that differ in their numbers alone are one inside: a search makes many motions of one model."""
+    token = _kinds.set(set())
+    try:
+        yield
+    finally:
+        _kinds.reset(token)
 
 
 def user_line(error: BaseException) -> str:

@@ -78,6 +78,23 @@ def test_the_limit_keeps_the_best_design():
     np.testing.assert_array_equal(fit.residuals.values, curve(*fit.x).values)
 
 
+def test_a_limit_of_time_keeps_the_best_design(monkeypatch):
+    """The clock is that of the evaluations."""
+    from torchmbd.optimization import search
+
+    count = 0
+
+    def counted(X: np.ndarray, gradients: bool) -> list[Residuals]:
+        nonlocal count
+        count += 1
+        return evaluate(X, gradients)
+
+    monkeypatch.setattr(search.time, "monotonic", lambda: float(count))
+    fit = fit_start(counted, np.array([1.0, 1.0]), settings(deadline=2.5))
+    assert (fit.status, fit.evaluations) == ("max_time", 3)
+    assert fit.cost == min(step.cost for step in fit.history)
+
+
 def test_an_interruption_keeps_the_best_design():
     count = 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 import torchmbd as mbd
 from tests.extensions.identification import pendulum
@@ -130,3 +131,14 @@ def test_bounds_of_delays(bounds, message):
     series = mbd.TimeSeries(ROW, {"x": mbd.Channel(X, delay=mbd.variable(0.0))})
     with pytest.raises(mbd.InputError, match=message):
         FitProblem({"swing": mbd.Experiment(pendulum.system(), series)}, [], bounds)
+
+
+def test_arrays_that_cannot_be_written_are_read(recwarn):
+    """Columns of pandas are views that torch warns of."""
+    t = np.linspace(0.0, 1.0, 20)
+    y = np.sin(t)
+    for x in (t, y):
+        x.flags.writeable = False
+    series = mbd.TimeSeries({"t": t, "x": y}, {"x": mbd.Position("bob", "x")})
+    torch.from_numpy(series.samples["x"].t)
+    assert not [x for x in recwarn if "not writable" in str(x.message)]

@@ -17,6 +17,7 @@ from torchmbd.extensions.identification.measurement import Limits, Measurement
 from torchmbd.extensions.identification.run import Run
 from torchmbd.integrate import Phase
 from torchmbd.integrate.arguments import check_backend, checked_integrator, start_of
+from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.segment import segments_of, switching
 from torchmbd.math.checked_numbers import list_of, positive
@@ -32,7 +33,8 @@ class Experiment(Summary):
     measurements  a measurement, such as mbd.TimeSeries(...), or a list of them
     settings      parameter -> value in this experiment [SI], of parameters that are no unknowns
     duration      of the motion [s]; None: until the last measured time
-    steps         equal steps of the motion; None: as many as the first motion needs (`simulate`), the same in all later ones
+    steps         equal steps of the motion; None: as many as the first motion needs (`simulate`), the same in all later ones,
+                  and more where `identify` finds that their error moves an unknown by a part of its deviation
     method, phases, backend, start, options   as in `simulate`
 
     >>> t = np.linspace(0.0, 1.0, 50)
@@ -71,7 +73,7 @@ class Experiment(Summary):
         self.duration = None if duration is None else positive("duration", duration, "s")
         length = self.duration or 1.0
         phases = switching(phases)
-        checked_integrator(length, method, steps, options, argument_names(Experiment))
+        self.integrator = checked_integrator(length, method, steps, options, argument_names(Experiment))
         check_backend(backend)
         start_of(system, start)
         if self.duration is not None:
@@ -116,6 +118,10 @@ class Experiment(Summary):
 
         result.measurements = [within(measurement) for measurement in self.measurements]
         return result
+
+    def has_steps(self, limits: Limits) -> bool:
+        """Whether its measurements need a motion, by a method whose error falls with the square of its equal steps."""
+        return isinstance(self.integrator, OneStep) and any(x.until(limits) > 0.0 for x in self.measurements)
 
     def run(self, designs: dict[str, Tensor], lanes: int, gradients: bool, steps: int | None) -> Run:
         """The experiment with a batch of designs, by name [lanes, ...]."""

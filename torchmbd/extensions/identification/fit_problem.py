@@ -146,6 +146,14 @@ class FitProblem:
         """Upper bounds [n]."""
         return self.space.upper
 
+    @property
+    def origins(self) -> np.ndarray:
+        """Which unknowns [n] are offsets and delays of sensors: their size says where an origin lies, not how they change."""
+        labels = {
+            x for names in self._names.values() for local, x in names.items() if local.endswith(("offset", "delay"))
+        }
+        return np.array([name.rpartition("[")[0] in labels for name in self.names], dtype=bool)
+
     def limits(self, names: Mapping[str, str]) -> dict[str, tuple[float, float]]:
         """Bounds of unknowns of measurements; names: their name in the measurement -> name of the parameter."""
         result = {}
@@ -185,6 +193,42 @@ class FitProblem:
         result = object.__new__(type(self))
         vars(result).update(vars(self), deviations=deviations)
         return result
+
+    def with_steps(self, steps: Mapping[str, int | None]) -> FitProblem:
+        """The same problem with other steps of the motions of experiments, by name."""
+        result = object.__new__(FitProblem)  # without what a subclass keeps of evaluations by other steps
+        vars(result).update(vars(self), steps={**self.steps, **steps})
+        return result
+
+    def rows_of(self, experiment: str) -> slice:
+        """The rows of the data that an experiment has."""
+        rows = [x.rows for x in self.rows if x.experiment == experiment]
+        return slice(rows[0].start, rows[-1].stop)
+
+    def has_unknown_gain(self, row: Rows) -> bool:
+        """Whether the gain of a channel is an unknown."""
+        return f"{row.block.channel}.gain" in self._names[row.experiment]
+
+    def errors_by_steps(self, x: np.ndarray, shown: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """True minus predicted numbers by the steps of each experiment with a motion, in SI, by name; and why not, by name.
+
+        x   a design [n];  shown: its predictions [data]. Experiments without equal steps of a method of second order have none.
+        """
+        errors, reasons = {}, {}
+        for name, experiment in self.experiments.items():
+            steps = self.steps[name]
+            if steps is None or not experiment.has_steps(self.limits(self._names[name])):
+                continue
+            try:
+                [finer] = self.with_steps({name: 2 * steps})._of_experiment(name, x[None], False)
+                reason = "" if finer.ok else finer.status
+            except (InputError, SimulationFailure) as error:
+                finer, reason = None, str(error)
+            if finer is None or reason:
+                reasons[name] = f"with {2 * steps} steps: {reason}"
+            else:
+                errors[name] = (finer.values - shown[self.rows_of(name)]) * 4.0 / 3.0
+        return errors, reasons
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Residuals]:
         """Residuals of designs [lanes, n], by one batch for each experiment."""

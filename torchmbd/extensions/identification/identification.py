@@ -15,25 +15,36 @@ import numpy as np
 
 from torchmbd.errors import InputError, checked_signature, nearest
 from torchmbd.extensions.identification.channel_fit import ChannelFit, agreement, channel_fits
-from torchmbd.extensions.identification.fit_problem import FitProblem, Residuals
+from torchmbd.extensions.identification.deviations import NO_FREEDOM, leverages
+from torchmbd.extensions.identification.fit_problem import FitProblem, Residuals, Rows
+from torchmbd.extensions.identification.gauss_newton import AT_BOUND
 from torchmbd.extensions.identification.least_squares import Fit, FitSettings
+from torchmbd.extensions.identification.losses import LOSSES
 from torchmbd.extensions.identification.profile import profile_interval
 from torchmbd.extensions.identification.statistics import (
     LEVEL,
     correlations,
     covariance,
+    half_widths,
+    influence,
     quantile,
     variance_factor,
 )
+from torchmbd.extensions.identification.step_error import StepError, sentence
 from torchmbd.extensions.identification.unseen import Unseen, singular_values, unseen_combinations, unseen_count
 from torchmbd.optimization.optimizer import require_range
 from torchmbd.summary import Summary, few
 
+_CORRELATED = 0.9
+_SELDOM_NEGATIVE = (
+    "mass",
+    "stiffness",
+    "damping",
+)  # ends of names of parameters that may be, in a model that is made so
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
-
-_AT_BOUND = 1e-6  # of its scale: an unknown that is as near to a bound
 
 
 @checked_signature
@@ -45,6 +56,8 @@ class Identification(Summary):
     fit           how the best start ended;  starts: it, then the others by their costs in the deviations of the fit
     evaluations   simulations of a design, each with its Jacobian, of all starts;  failures: those of them that failed
     validation_problem, validation_residuals   the same of experiments that were held out; None: there are none
+    step_error    what the steps of the motions do to the unknowns; None: there are no steps, or the fit has not converged
+    start_doubts  what was told of the sizes of data and model at the start
 
     `fit["bob.mass"]` is the value of an unknown; of a parameter with one entry its index may be left out.
 
@@ -64,11 +77,13 @@ class Identification(Summary):
     failures: int
     validation_problem: FitProblem | None = None
     validation_residuals: Residuals | None = None
+    step_error: StepError | None = None
+    start_doubts: tuple[str, ...] = ()
     _profiles: dict[tuple[str, float], tuple[float, float]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def status(self) -> str:
-        """ "converged", "stalled" beside designs that fail, "max_evaluations", "failed" or "interrupted"."""
+        """ "converged", "stalled" beside designs that fail, "max_evaluations", "max_time", "failed" or "interrupted"."""
         return self.fit.status
 
     @property
@@ -145,19 +160,56 @@ class Identification(Summary):
         return len(self.residuals) - len(self.searched)
 
     @cached_property
-    def covariance(self) -> np.ndarray:
-        """Covariance [n, n], linearized; infinite where the data see nothing, zero of constants."""
-        searched, result = self.searched, np.zeros((len(self.names), len(self.names)))
-        jacobian, size = self._jacobian[:, searched], self.size[searched]
-        values, vectors = singular_values(jacobian, size)
-        unseen = vectors[:, len(values) - unseen_count(values) :]
-        result[np.ix_(searched, searched)] = covariance(jacobian, unseen, size, self.variance_factor)
+    def _freedoms_of_channels(self) -> dict[str, float]:
+        """Numbers of each channel less the unknowns that it determines, which is 0 where nothing is known of its noise."""
+        h = leverages(self._jacobian[:, self.searched], self.size[self.searched])
+        result = {}
+        for row in self.problem.rows:
+            count = row.rows.stop - row.rows.start
+            free = count - float(h[row.rows].sum())
+            result[row.name] = free if free > NO_FREEDOM * count else 0.0
         return result
 
     @property
+    def _unknown_noise(self) -> list[Rows]:
+        """Channels whose deviation is neither given nor to be estimated, since they have no freedoms."""
+        return [row for row in self.problem.rows if row.estimated and not self._freedoms_of_channels[row.name]]
+
+    @cached_property
+    def _known_jacobian(self) -> np.ndarray:
+        """Derivatives by the searched unknowns [rows, n] of numbers with a known noise; zero for the others."""
+        result = self._jacobian[:, self.searched].copy()
+        for row in self._unknown_noise:
+            result[row.rows] = 0.0
+        return result
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance [n, n], linearized; infinite where the data see nothing, zero of constants."""
+        searched, result = self.searched, np.zeros((len(self.names), len(self.names)))
+        result[np.ix_(searched, searched)] = covariance(self._known_jacobian, self.size[searched], self.variance_factor)
+        return result
+
+    def _half_width(self, level: float) -> np.ndarray:
+        """Half the width of the intervals of a level [n]; infinite where the data see nothing, zero of constants."""
+        free, k = self._freedoms_of_channels, self.searched
+        channels = [(row.rows, free[row.name]) for row in self.problem.rows if row.estimated and free[row.name]]
+        if self.settings.loss is not LOSSES["linear"]:  # the factor of variances is that of the residuals
+            channels = [(row.rows, min(free[row.name], self.freedoms)) for row in self.problem.rows if free[row.name]]
+        moves, lost = influence(self._known_jacobian, self.size[k])
+        result = np.zeros(len(self.names))
+        result[k] = np.where(lost, np.inf, np.sqrt(self.variance_factor) * half_widths(moves, channels, level))
+        return result
+
+    @property
+    def half_width(self) -> np.ndarray:
+        """Half the width of the intervals of 95 % [n]."""
+        return self._half_width(LEVEL)
+
+    @property
     def size(self) -> np.ndarray:
-        """Sizes of the unknowns [n], by which changes count: their scales, or their values where these are larger."""
-        return np.maximum(self.settings.scale, np.abs(self.x))
+        """Sizes of the unknowns [n], by which changes count: their units, or their values where these are larger."""
+        return np.fmax(self.fit.scale, np.abs(self.x))
 
     @property
     def variance_factor(self) -> float:
@@ -173,8 +225,7 @@ class Identification(Summary):
     @property
     def interval(self) -> np.ndarray:
         """Intervals of 95 % [n, 2], linearized."""
-        half = quantile(self.freedoms) * self.deviation
-        return np.stack([self.x - half, self.x + half], 1)
+        return np.stack([self.x - self.half_width, self.x + self.half_width], 1)
 
     @property
     def correlations(self) -> np.ndarray:
@@ -203,7 +254,7 @@ class Identification(Summary):
     def at_bounds(self) -> list[str]:
         """Unknowns that end at a bound, where intervals do not hold."""
         s = self.settings
-        near = _AT_BOUND * s.scale
+        near = AT_BOUND * self.size
         at = ((self.x - s.lower < near) | (s.upper - self.x < near)) & (s.upper > s.lower)
         return [name for name, is_there in zip(self.names, at, strict=True) if is_there]
 
@@ -223,7 +274,36 @@ class Identification(Summary):
     def notes(self) -> list[str]:
         """What measurements say of their fit, such as how modes were paired, and what was left out."""
         of_channels = [f"{row.name}: {row.block.note}" for row in self.problem.rows if row.block.note]
-        return [*of_channels, *self.fit.residuals.notes]
+        return [*of_channels, *self._doubts, *self.fit.residuals.notes]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a user must know of a fit that has converged: noise that is unknown, steps that move the unknowns."""
+        result = []
+        if not self.converged:
+            return result
+        if names := [repr(row.name) for row in self._unknown_noise]:
+            channels = f"channel{'s' * (len(names) > 1)} {', '.join(names)}"
+            result.append(
+                f"{channels}: the unknowns follow every number, so that nothing is known of the noise. Try: deviation="
+            )
+        if self.step_error is not None and (text := sentence(self.step_error, self.names, self.problem.steps)):
+            result.append(text)
+        return result
+
+    @property
+    def _doubts(self) -> list[str]:
+        """What numbers of a fit do not say by themselves."""
+        result = [*self.start_doubts, *self.warnings]
+        if not self.converged:
+            return result
+        for name, x in zip(self.names, self.x, strict=True):
+            if x < 0.0 and name.rpartition("[")[0].endswith(_SELDOM_NEGATIVE):
+                result.append(f"{name} is negative: {x:.3g}")
+        c = np.nan_to_num(np.triu(self.correlations, 1))
+        pairs = sorted(zip(*np.nonzero(np.abs(c) > _CORRELATED), strict=True), key=lambda ij: -abs(c[ij]))
+        result += [f"{self.names[i]} and {self.names[j]} have a correlation of {c[i, j]:.4g}" for i, j in pairs]
+        return result
 
     def leave_one_out(self) -> DataFrame:
         """How far each unknown moves, in its standard deviations, if a channel, or an experiment, is left out; linearized.
@@ -264,8 +344,13 @@ class Identification(Summary):
         key = (name, level)
         require_range("level", level, 0.0, 1.0)
         if key not in self._profiles:
-            index, limit = self._index(name), quantile(self.freedoms, level)
+            index = self._index(name)
             width, evaluate = float(self.deviation[index]), self.problem.evaluate
+            if self._unknown_noise and np.isinf(width):  # a sum of squares without a noise to compare it with
+                return -np.inf, np.inf
+            limit = quantile(np.inf, level)
+            if 0.0 < width < np.inf:
+                limit = float(self._half_width(level)[index]) / width
             self._profiles[key] = profile_interval(
                 evaluate, self.settings, self.fit, index, limit, width, self.variance_factor
             )
@@ -325,8 +410,8 @@ class Identification(Summary):
                 *((name, f"{value:.6g}") for name, value in zip(self.names, self.x, strict=True)),
                 *self._agreements,
             ]
-        for name, value, deviation in zip(self.names, self.x, self.deviation, strict=True):
-            half = quantile(self.freedoms) * deviation
+        columns = zip(self.names, self.x, self.deviation, self.half_width, strict=True)
+        for name, value, deviation, half in columns:
             if not deviation:
                 rows.append((name, f"{value:.6g}, its bounds"))
                 continue

@@ -13,6 +13,7 @@ from torchmbd.extensions.identification.channel import Channel
 from torchmbd.extensions.identification.experiment import Experiment
 from torchmbd.extensions.identification.frequency_response_data import FrequencyResponseData
 from torchmbd.extensions.identification.identify import identify
+from torchmbd.extensions.identification.measurement import unit_of_title
 from torchmbd.extensions.identification.modal_data import ModalData
 from torchmbd.extensions.identification.plan import IdentificationPlan, read_identification
 from torchmbd.extensions.identification.sections import (
@@ -26,13 +27,13 @@ from torchmbd.extensions.identification.sections import (
     StaticCurveData,
     TimeSeriesData,
 )
+from torchmbd.extensions.identification.sizes import size_doubts
 from torchmbd.extensions.identification.static_curve import StaticCurve
 from torchmbd.extensions.identification.time_series import TimeSeries
 from torchmbd.extensions.identification.tracked_fit import (
     identification_key,
     run_identification,
     start_predictions,
-    unit_of_title,
 )
 from torchmbd.extensions.vibrations.ports_by_name import NamedPort
 from torchmbd.study.kind import Kind
@@ -65,6 +66,8 @@ def _check(plan: IdentificationPlan, console: Console) -> int:
         ]
         table.add_row(*map(escape, cells))
     print_table(table, console)
+    for text in size_doubts(problem, before):
+        console.print(text, style="yellow", markup=False, soft_wrap=True)
     return 0
 
 

@@ -104,3 +104,8 @@ class Measurement:
 def number_of(x: float | Tensor, name: str, unknowns: Mapping[str, Tensor]) -> Tensor:
     """A number of a measurement [lanes] or [1]: the value of the unknown of this name, or the constant."""
     return unknowns[name] if name in unknowns else torch.tensor([float(x)], dtype=torch.float64)
+
+
+def unit_of_title(title: str) -> str:
+    """The unit of a title, `angle of hinge [rad]`; "" if it has none."""
+    return title.rpartition("[")[2].removesuffix("]") if title.endswith("]") else ""

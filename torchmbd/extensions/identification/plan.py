@@ -343,6 +343,7 @@ def read_identification(
         "f_scale": identify.f_scale,
         "tolerance": identify.tolerance,
         "max_evaluations": identify.max_evaluations,
+        "max_time": identify.max_time,
         "starts": starts_of(data.starts, unknowns, problem.names, problem.start),
     }
     return IdentificationPlan(data, source, made, others, arguments | more, problem)

@@ -53,8 +53,8 @@ def _end(
     """The end below (-1) or above (1)."""
     from scipy.optimize import brentq
 
-    width = limit * deviation
-    width = width if np.isfinite(width) and width > 0.0 else 0.1 * settings.scale[index]
+    width, size = limit * deviation, float(np.fmax(best.scale[index], abs(best.x[index]))) or 1.0
+    width = width if np.isfinite(width) and width > 0.0 else 0.1 * size
     bound = float(settings.lower[index] if sign < 0.0 else settings.upper[index])
     start, value = best.x.copy(), float(best.x[index])
 

@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from torchmbd.design.response_spec import SpecError, history_of
 from torchmbd.extensions.identification.frequency_response_data import PARTS
+from torchmbd.extensions.identification.least_squares import TOLERANCE
 from torchmbd.extensions.identification.losses import LOSSES
 from torchmbd.extensions.identification.registry import MEASUREMENTS
 from torchmbd.extensions.vibrations.frequency_response import QUANTITIES
@@ -52,7 +53,7 @@ class Unknown(Bounded):
     upper  upper bound, one or a list; default: none
     unit   unit of all numbers of this unknown; `none`: the SI unit
     prior  mean and standard deviation that are known before
-    scale  size of its changes; default: that of its start, or of its range
+    scale  size of its changes; default: that of its start, or by the data where the start is zero or tiny
     """
 
     prior: Prior | None = None
@@ -212,6 +213,7 @@ class Identify(Section):
     experiments      name -> what was measured
     validation       experiments that are held out: the fitted model is compared with them
     max_evaluations  simulated designs of each start at most
+    max_time         limit of time [s]; what is done by then is the result
     """
 
     unknowns: Annotated[dict[str, Unknown], Len(min_length=1), AfterValidator(units_fit)]
@@ -219,8 +221,9 @@ class Identify(Section):
     validation: dict[str, ExperimentData] = Field(default={})
     loss: Annotated[str, NameOf(LOSSES)] = "linear"
     f_scale: float = Field(default=1.0, gt=0)
-    tolerance: float = Field(default=1e-8, ge=1e-15, le=0.1)
+    tolerance: float = Field(default=TOLERANCE, ge=1e-15, le=0.1)
     max_evaluations: PositiveInt = 50
+    max_time: float | None = Field(default=None, gt=0)
 
     @model_validator(mode="after")
     def _different_names(self) -> Self:

@@ -1,55 +1,74 @@
 """What residuals and their Jacobian say of unknowns: covariance, intervals, whiteness.
 
     cov = kappa (J'J)^-1           J: derivatives of the residuals, in deviations, priors included      [n, n]
-    kappa = 1                                 the plain square; deviations that are estimated count freedoms, N - n
+    kappa = 1                                 the plain square
     kappa = mean psi^2 / (mean psi')^2        robust losses, psi = rho' r                   (M-estimators)
-    b +- t(0.975, N - n) sigma     interval of 95 %, sigma^2 the diagonal of cov
+    b_i +- (sum_c t(0.975, nu_c)^2 v_ic)^1/2          interval of 95 %; v_ic: what the noise of channel c adds to the
+                                              variance of b_i, the diagonal of cov; nu_c: freedoms of its deviation
 
-Directions that the data cannot see (unseen.py) have no variance: unknowns with a part in one have an infinite deviation.
+Deviations that are given are known, with infinitely many freedoms: their t is that of the normal distribution. The interval
+holds the truth with at least 95 % (Banerjee), whatever the shares of the channels.
+Directions that the data cannot see (unseen.py) leave the unknowns with a part in them without a deviation; all others have
+what these directions add to theirs.
 Ljung-Box: Q = N (N + 2) sum_k r_k^2 / (N - k) of the autocorrelations r_k of the residuals of a channel, chi-squared where they
 are white; runs: how often the sign changes, normal where signs are independent. Small probabilities say that the model, not
 the noise, is in the residuals.
-Sources: Seber and Wild, Nonlinear Regression (1989); Huber, Robust Statistics (1981), section 7.6; Ljung and Box, Biometrika 65
-(1978) 297-303; Wald and Wolfowitz, Ann. Math. Stat. 11 (1940) 147-162.
+Sources: Seber and Wild, Nonlinear Regression (1989); Banerjee, Sankhya 22 (1960) 357-358; Huber, Robust Statistics (1981),
+section 7.6; Ljung and Box, Biometrika 65 (1978) 297-303; Wald and Wolfowitz, Ann. Math. Stat. 11 (1940) 147-162.
 Checked in tests/extensions/identification/test_statistics.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from torchmbd.extensions.identification.losses import Loss
+from torchmbd.extensions.identification.unseen import NOISE, ROUNDING, decomposition
 
 LEVEL = 0.95
 LAGS = 10  # of Ljung and Box's test, and at most a fifth of the samples
-_PART = 1e-3  # of an unseen direction that makes an unknown one without an interval
+_PART = 0.05  # of a direction below the noise that makes an unknown one without an interval
+_TRACE = 1e-3  # the same, of a direction without a trace in the data
 
 
-def covariance(jacobian: np.ndarray, unseen: np.ndarray, scale: np.ndarray, kappa: float) -> np.ndarray:
-    """Covariance [n, n] of the unknowns; infinite variance of those with a part in an unseen direction.
+def influence(jacobian: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How the noise of each residual moves the unknowns [n, rows], and which unknowns the data cannot see [n].
 
-    jacobian  [rows, n];  scale: units of the unknowns [n];  unseen: directions in these units [n, k], orthonormal
+    jacobian  [rows, n];  size: of the unknowns [n]
     """
     n = jacobian.shape[1]
     if not n:
-        return np.zeros((0, 0))
-    seen = _complement(unseen)
-    R = np.linalg.qr(jacobian * scale @ seen, mode="r")
-    half = seen @ np.linalg.inv(R) * 1.0
-    result = kappa * (half @ half.T) * scale[:, None] * scale
-    lost = np.abs(unseen).max(1, initial=0.0) > _PART
+        return np.zeros((0, len(jacobian))), np.zeros(0, dtype=bool)
+    U, values, vectors = decomposition(jacobian, size)
+    blank = values <= ROUNDING * values.max(initial=0.0)
+    faint = (values < NOISE) & ~blank
+    lost = np.linalg.norm(vectors[:, blank], axis=1) > _TRACE
+    lost |= np.linalg.norm(vectors[:, faint], axis=1) > _PART
+    seen = np.flatnonzero(~blank)
+    return size[:, None] * ((vectors[:, seen] / values[seen]) @ U[:, seen].T), lost
+
+
+def covariance(jacobian: np.ndarray, size: np.ndarray, kappa: float) -> np.ndarray:
+    """Covariance [n, n] of the unknowns; infinite variance of those that the data cannot see. Arguments as of `influence`."""
+    moves, lost = influence(jacobian, size)
+    result = kappa * (moves @ moves.T)
     result[lost, :] = np.nan
     result[:, lost] = np.nan
     result[lost, lost] = np.inf
     return result
 
 
-def _complement(directions: np.ndarray) -> np.ndarray:
-    """Orthonormal directions [n, n - k] across others [n, k]."""
-    n, k = directions.shape
-    if not k:
-        return np.eye(n)
-    return np.linalg.svd(directions, full_matrices=True)[0][:, k:]
+def half_widths(moves: np.ndarray, channels: Sequence[tuple[slice, float]], level: float) -> np.ndarray:
+    """Half the widths [n] of intervals of a level (Banerjee), without the factor of the covariance.
+
+    moves     as of `influence`;  channels: rows of each whose deviation is estimated, and its freedoms
+    """
+    quantiles = np.full(moves.shape[1], quantile(np.inf, level))
+    for rows, free in channels:
+        quantiles[rows] = quantile(free, level)
+    return np.linalg.norm(moves * quantiles, axis=1)
 
 
 def correlations(cov: np.ndarray) -> np.ndarray:
@@ -72,11 +91,16 @@ def variance_factor(values: np.ndarray, data: int, unknowns: int, loss: Loss, f_
     return float((psi**2).mean()) / mean**2 * rows / free if mean > 0.0 else np.inf
 
 
-def quantile(free: int, level: float = LEVEL) -> float:
-    """Half the width of an interval in deviations: Student's t with `free` degrees of freedom."""
-    from scipy.stats import t
+def quantile(free: float, level: float = LEVEL) -> float:
+    """Half the width of an interval in deviations: Student's t with `free` degrees of freedom; infinite without any.
 
-    return float(t.ppf(0.5 + 0.5 * level, max(free, 1)))
+    Infinitely many degrees are those of a deviation that is known: the normal distribution.
+    """
+    from scipy.stats import norm, t
+
+    if free <= 0.0:
+        return np.inf
+    return float(norm.ppf(0.5 + 0.5 * level) if np.isinf(free) else t.ppf(0.5 + 0.5 * level, free))
 
 
 def ljung_box(residuals: np.ndarray) -> float:

@@ -142,7 +142,8 @@ def _read(file: Path, names: Sequence[str]) -> Table:
         raise InputError(fault)
     # By place: pandas has other names where spaces follow separators.
     columns = {
-        name: frame.iloc[:, sorted(places).index(place)].to_numpy() for name, place in zip(names, places, strict=True)
+        name: _writable(frame.iloc[:, sorted(places).index(place)].to_numpy())
+        for name, place in zip(names, places, strict=True)
     }
     return Table(columns, {name: unit for name in names if (unit := headings[name])}, file)
 
@@ -192,7 +193,7 @@ def _is_number(text: str) -> bool:
 
 
 def _numbers(name: str, x: Any) -> np.ndarray:
-    """One column as float64, not copied where it is that already."""
+    """One column as float64, not copied where it is that already and can be written."""
     try:
         numbers = np.asarray(x.detach() if isinstance(x, torch.Tensor) else x)
         result = np.asarray(numbers, dtype=np.float64)
@@ -204,4 +205,9 @@ def _numbers(name: str, x: Any) -> np.ndarray:
         raise InputError(
             f"column {name!r} has shape {numbers.shape} of {numbers.dtype}; allowed: one number for each row"
         )
-    return result
+    return _writable(result)
+
+
+def _writable(x: np.ndarray) -> np.ndarray:
+    """Numbers that tensors can share, which torch does with arrays that can be written: those of pandas may not be."""
+    return x if x.flags.writeable else x.copy()

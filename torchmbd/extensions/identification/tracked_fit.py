@@ -31,8 +31,8 @@ from torchmbd.extensions.identification.fit_problem import FitProblem
 from torchmbd.extensions.identification.identification import Identification
 from torchmbd.extensions.identification.identify import identify
 from torchmbd.extensions.identification.least_squares import FitStep
+from torchmbd.extensions.identification.measurement import unit_of_title
 from torchmbd.extensions.identification.plan import IdentificationPlan
-from torchmbd.extensions.identification.statistics import quantile
 from torchmbd.extensions.identification.stored_fit import StoredFit, fit_key
 from torchmbd.math.units import units_of
 from torchmbd.study.evaluations import Evaluations
@@ -199,7 +199,7 @@ class _Fit(Runs):
         """Print unknowns with their intervals, in the units of the file, and what else the fit says."""
         if result.fit.residuals.jacobian is not None:
             table = table_of(f"{self.plan.name}: {result.status}", ["unknown", "start", "value", "+- (95 %)", "remark"])
-            half = quantile(result.freedoms) * result.deviation
+            half = result.half_width
             for k, name in enumerate(result.names):
                 x, first, width = (y[k] / self.plan.factor(name) for y in (result.x, result.start, half))
                 seen = f"{width:.2g}" if np.isfinite(width) else "-"
@@ -279,11 +279,6 @@ def start_predictions(problem: FitProblem) -> np.ndarray | None:
     """Numbers of the model at the start [data], SI; None where it cannot be simulated."""
     [residuals] = problem.evaluate(problem.start[None], False)
     return problem.predictions(residuals.values) if residuals.ok else None
-
-
-def unit_of_title(title: str) -> str:
-    """The unit of a title, `angle of hinge [rad]`; "" if it has none."""
-    return title.rpartition("[")[2].removesuffix("]") if title.endswith("]") else ""
 
 
 def _with_unit(name: str, unit: str) -> str:

@@ -47,14 +47,24 @@ class Unseen:
     words: str
 
 
-def singular_values(jacobian: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values [n] of the scaled Jacobian, descending, and right singular vectors, columns [n, n]."""
+def decomposition(jacobian: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """U [rows, n], singular values [n], descending, and V [n, n] of the scaled Jacobian.
+
+    Columns of U without a value are zero.
+    """
     n = jacobian.shape[1]
     if not n:
-        return np.zeros(0), np.zeros((0, 0))
-    R = np.linalg.qr(jacobian * size, mode="r")
-    _, values, rows = np.linalg.svd(R, full_matrices=True)
-    return np.concatenate([values, np.zeros(n - len(values))]), rows.T
+        return np.zeros((len(jacobian), 0)), np.zeros(0), np.zeros((0, 0))
+    Q, R = np.linalg.qr(jacobian * size)
+    U, values, rows = np.linalg.svd(R, full_matrices=True)
+    short = n - len(values)
+    U = np.pad(Q @ U[:, : len(values)], ((0, 0), (0, short)))
+    return U, np.concatenate([values, np.zeros(short)]), rows.T
+
+
+def singular_values(jacobian: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values [n] of the scaled Jacobian, descending, and right singular vectors, columns [n, n]."""
+    return decomposition(jacobian, size)[1:]
 
 
 def unseen_count(values: np.ndarray) -> int:
