@@ -28,6 +28,7 @@ from torch import Tensor
 
 from torchmbd.design import problem_steps
 from torchmbd.design.differentiate import ROWS, differentiate
+from torchmbd.design.gradient_mode import cheaper_mode
 from torchmbd.design.problem_errors import problem_errors
 from torchmbd.design.problem_parts import (
     Reference,
@@ -78,8 +79,8 @@ class Problem(Summary):
     motion_start   where every motion starts: `start` of `simulate`, such as "equilibrium"
     links       entries that depend on others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
     bound       (start, upper) of the extra variable, where `minimize` has several rows; 1 at the initial design
-    gradients   "reverse" or "forward", as in `simulate`; "auto": reverse where the method has an adjoint and objective and
-                constraints have no more numbers than there are design variables. `problem.gradients` is the choice
+    gradients   "reverse" or "forward", as in `simulate`; "auto": the cheaper one by an estimate (gradient_mode.py), forward
+                where the method has no adjoint. `problem.gradients` is the choice
     steps       equal steps of all motions; None: as many as the start needs (problem_steps.py)
     tolerance   error by steps of every response, as a share of it or of its limit, that chosen steps may have; None: any
     method, phases, backend, options   as in `simulate`
@@ -149,8 +150,7 @@ class Problem(Summary):
         check_gradients(gradients, integrator)
         check_backend(backend)
         self._tangents = len(self.space.entries)
-        reverse_is_cheaper = integrator.adjoint and self._count <= self._tangents
-        cheaper = "reverse" if reverse_is_cheaper else "forward"
+        cheaper = cheaper_mode(self._tangents, self._count) if integrator.adjoint else "forward"
         self.gradients = cheaper if gradients in ("auto", "none") else gradients
         require_memory(
             system,

@@ -5,7 +5,7 @@
     memory  = base + lanes * (bytes of a motion) * 3      the motion, its work arrays, the responses
 
 Gradients are measured in forward and in reverse mode, where the method has both; the study uses the mode that the problem
-has chosen by counting operations.
+has chosen by an estimate (design/gradient_mode.py).
 
 Simulations of a sweep: its points. Of an optimization: 1.5 for each iteration of each start, as in the shipped studies, and no
 start ends early. Of a front: the same for each anchor from each start and from each anchor, for each point, and once more for
@@ -308,7 +308,7 @@ def _steps_line(problem: Problem, share: float, reason: str) -> str:
 
 def _modes_text(cost: Estimate) -> str:
     """Return the modes of gradients with their times, and which one to ask for where another is faster."""
-    text = f"{cost.gradients} mode, chosen by counting, {_duration(cost.batch_seconds)} a batch"
+    text = f"{cost.gradients} mode, chosen by an estimate, {_duration(cost.batch_seconds)} a batch"
     text += "".join(f"; {other} mode {_duration(seconds)}" for other, seconds in cost.others.items())
     mode = min(cost.others, key=lambda other: cost.others[other], default=None)
     if mode is None or not cost.others[mode] < _FASTER * cost.batch_seconds:
