@@ -36,6 +36,7 @@ LOST = {
     "float": lambda t: torch.tensor(float(t) ** 3, dtype=torch.float64),
     "item": lambda t: torch.tensor(math.sin(t.item()), dtype=torch.float64),
     "detach": lambda t: t.detach() ** 3 + 0.0 * t,
+    "late pulse": lambda t: 0.0 * t + ((t.detach() - 0.2) * (0.4 - t.detach())).clamp(min=0.0),
     "NumPy": lambda t: torch.as_tensor(np.interp(float(t), [-1.0, 2.0], [0.0, 1.0]), dtype=torch.float64),
 }
 

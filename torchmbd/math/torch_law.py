@@ -18,7 +18,7 @@ from torchmbd.errors import InputError, user_line
 
 # What a law may raise where it ends, as a table does, at states and times that a motion need not come to.
 OUT_OF_RANGE = (ValueError, IndexError, ArithmeticError, AssertionError)
-PLACES = (0.0, 0.013, 0.11, 0.57, 1.3)  # of the argument, where slopes are compared
+PLACES = (0.0, 0.0021, 0.013, 0.047, 0.11, 0.27, 0.57, 1.3, 4.1)  # of the argument, where slopes are compared
 STEP = 1e-4
 AROUND = (0.0, -1.0, -0.4, 0.7, 1.0)  # steps from a place: not symmetric, so that zeros of an odd slope do not coincide
 #: Of a difference over two steps: the change from one step to the other beyond which the law bends or jumps.
