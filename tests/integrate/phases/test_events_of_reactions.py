@@ -103,3 +103,19 @@ def test_time_and_derivative_converge(gradients):
         assert force_of_the_rod(motion)[0, : int(time / 1.2 * steps)].abs().min() > 0.1
     assert errors[1] < 1e-3
     assert errors[0] / errors[1] == pytest.approx(4.0, abs=0.4)
+
+
+@pytest.mark.thorough
+def test_a_time_without_a_derivative_is_refused_by_name():
+    """A force that ends and stays zero has no rate at its end, and one that never acts no end."""
+    ends = mbd.Event(lambda motion: torch.relu(motion.body("ball").r[..., 2] - 0.2), "falling")
+    never = mbd.Event(lambda motion: 0.0 * motion.body("ball").r[..., 2])
+    options = {"steps": 40, "backend": "eager"}
+    phases = [mbd.Phase(until=ends), mbd.Phase()]
+    forward = mbd.simulate(sliding(), 1.2, phases=phases, gradients="forward", **options)
+    assert "failed: the function of the event of phase '1' has no rate" in forward.status[0]
+    reverse = mbd.simulate(sliding(), 1.2, phases=phases, gradients="reverse", **options)
+    with pytest.raises(mbd.InputError, match="event of phase '1' has no rate where it vanishes"):
+        torch.autograd.grad(reverse.switches[0].t.sum(), list(reverse.variables.values()))
+    motion = mbd.simulate(sliding(), 1.2, phases=[mbd.Phase(until=never), mbd.Phase()], gradients="forward", **options)
+    assert "its event does not occur" in motion.status[0]

@@ -27,6 +27,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint import warn_inaccurate
 from torchmbd.integrate.adjoint_solver import Grid, MotionCotangents
 from torchmbd.integrate.backend import backend_of
@@ -35,6 +36,7 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by_lanes, pulled_back, rows_first, zeros
+from torchmbd.integrate.phases.last_steps import without_rate
 from torchmbd.integrate.phases.phase_record import PhaseRecord
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.switch import data_with_marks
@@ -146,6 +148,8 @@ class PhaseAdjoint:
         cotangents = pulled_back([end, *y], [x[..., indices] for x in so_far.exit], inputs, rows)
         if g is not None:
             slopes = pulled_back([g], [torch.ones_like(g)[None]], inputs, 1)
+            if bool((slopes[0] == 0.0).any()):
+                raise InputError(without_rate(segment.name))
             mu = -cotangents[0][:, 0] / slopes[0][:, 0]  # [rows, lanes]
             cotangents = [x + by_lanes(mu, dg, kind) for x, dg, kind in zip(cotangents, slopes, kinds, strict=True)]
         _, by_t, *by_state = cotangents[: 2 + len(base)]

@@ -46,6 +46,8 @@ def located(
     """Where the event's function of some lanes vanishes after their bases, and which lanes found it.
 
     base, bracket   of these lanes
+
+    With tangents, times at which the function has no rate are nan: they have no derivatives.
     """
     whole, condensed = (lanes_of(d, lanes).values() for d in (record.dynamics, record.condensed))
     start, t = base.x.values(), value(base.t)
@@ -76,7 +78,17 @@ def located(
     _, slope = views.slopes(event, lanes, whole, end, record.whole(y, end))
     rate = -slope[:-1] / slope[-1]
     end = narrowed(end, rate)
-    return PhaseExit(end, record.whole(y.map(lambda z: narrowed(z, rate)), end)), enclosed & finite_lanes(y)
+    success = enclosed & finite_lanes(y)
+    end = end + torch.where(slope[-1] == 0.0, torch.nan, 0.0)
+    return PhaseExit(end, record.whole(y.map(lambda z: narrowed(z, rate)), end)), success
+
+
+def without_rate(phase: str) -> str:
+    """Why the time of an event has no derivative."""
+    return (
+        f"the function of the event of phase {phase!r} has no rate where it vanishes, so that the time has no derivative; "
+        "allowed: a function that passes zero, or no gradients"
+    )
 
 
 def finite_lanes(x: State) -> Tensor:

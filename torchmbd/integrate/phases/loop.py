@@ -34,7 +34,7 @@ from torchmbd.integrate.lanes import (
     put_states,
 )
 from torchmbd.integrate.phases.events import Event
-from torchmbd.integrate.phases.last_steps import Bracket, finite_lanes, located
+from torchmbd.integrate.phases.last_steps import Bracket, finite_lanes, located, without_rate
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun
@@ -361,6 +361,10 @@ class _PhaseLoop:
         else:
             there, success = located(self.event, lanes, base, bracket, record, self.integrator, self.multiphase.views)
         self._fail(~success, lanes, "last", base, value(base.t)[0] + bracket.high)
+        for i in lane_numbers(success & ~torch.isfinite(value(there.t)[0])):
+            self.multiphase.failed_for_good.add(lanes[i])
+            self.multiphase.fail(lanes[i], without_rate(self.segment.name))
+        success = success & torch.isfinite(value(there.t)[0])
         good = lane_numbers(success)
         if good:
             exit_lanes, there = [lanes[i] for i in good], there.lanes(good)
