@@ -45,7 +45,7 @@ class Observer(Protocol):
         ...
 
 
-TURNING = "turning"
+TURNING, GROUND = "turning", "ground"
 
 
 class ObserverAtRest:
@@ -157,7 +157,7 @@ class GroundObserver(SteadyRotation):
         if T.flexible:
             raise InputError(
                 f"observer is 'ground' with body {T.names[0]!r}, whose modes turn with it; allowed: flexible beams "
-                "(mbd.FlexibleBeam) and rigid bodies, or observer='turning'"
+                "(mbd.FlexibleBeam) and rigid bodies, or observer='turning', who sees whirl at other frequencies"
             )
         v, a = self.rates(T, q)
         A = rotation_matrix(equations.split_q(T, q)[1])
@@ -177,7 +177,7 @@ class GroundObserver(SteadyRotation):
         return x
 
 
-OBSERVERS: dict[str, type[SteadyRotation]] = {TURNING: SteadyRotation, "ground": GroundObserver}
+OBSERVERS: dict[str, type[SteadyRotation]] = {TURNING: SteadyRotation, GROUND: GroundObserver}
 
 
 def _of_rotations(T: Topology, like: Any, f: Any) -> Any:

@@ -111,6 +111,36 @@ def test_rotor5_of_ross():
         assert (4.0 * narrow - wide) / 3.0 == pytest.approx(number, rel=1e-3)
 
 
+def shaft_with_modes() -> mbd.System:
+    """A thin round shaft in two stiff round bearings, a small disk in its middle."""
+    steel = mbd.GivenSection.isotropic(80e9, 0.3, 1600.0, 2e-4, Iyy=2e-8, Izz=2e-8, J=4e-8)
+    line = mbd.BeamLine.straight(1.2, elements=4)
+    shaft = mbd.FlexibleBody.beam("shaft", line, steel, modes=6, position=(0.6, 0, 0))
+    disk = mbd.RigidBody("disk", V(3.0), (6e-3, 3e-3, 3e-3), position=(0.6, 0, 0))
+    bearings = [
+        mbd.Bushing(GROUND.at(0, 0, 0), shaft.at("start"), (1e7, 5e7, 5e7)),
+        mbd.Bushing(GROUND.at(1.2, 0, 0), shaft.at("end"), (0.0, 5e7, 5e7)),
+    ]
+    hub = mbd.Fixed(shaft.at("center"), disk.at(), name="hub")
+    return mbd.System([shaft, disk], [hub], bearings, free=["shaft", "disk"])
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_critical_speed_is_one_of_a_fixed_observer_whatever_axes_are_used():
+    """Of a shaft with modes, whose frequencies are those of axes that turn with it: that at rest, as the disk does not tilt."""
+    system = shaft_with_modes()
+    m = torch.tensor([3.0], dtype=torch.float64, requires_grad=True)
+    motion = mbd.simulate(system, 1e-4, steps=2, designs={"disk.mass": m}, backend="eager")
+    rest = 2.0 * math.pi * mbd.SystemFrequency(cluster=(2, 3))(motion)
+    (expected,) = torch.autograd.grad(rest.sum(), m, retain_graph=True)
+    for observer in ("turning", "ground"):
+        critical = mbd.CriticalSpeed(1, between=(50.0, 400.0), points=4, axis="x", observer=observer)(motion)
+        assert float(critical) == pytest.approx(float(rest), rel=1e-4)
+        (slope,) = torch.autograd.grad(critical.sum(), m, retain_graph=True)
+        assert float(slope) == pytest.approx(float(expected), rel=1e-3)
+
+
 def ziegler(k: float = 3.0, c: float = 0.2) -> mbd.System:
     """Two links of 1 m with 2 kg at their joint and 1 kg at the tip, springs and dampers in hinges, a force that follows."""
     first, second = (

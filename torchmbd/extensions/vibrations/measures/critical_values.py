@@ -1,6 +1,6 @@
 """Speeds and parameters at which something happens to the vibrations of the whole system, solved for: an implicit gradient.
 
-    CriticalSpeed       w(speed, b) = order speed          w: a natural frequency
+    CriticalSpeed       w(speed, b) = order speed          w: a natural frequency that a fixed observer sees (whirl.py)
     StabilityLimit      max Re s(p, b) = 0                 s: poles, p: a parameter, such as a load, or the speed
 
     dp/db = -(dg/db) / (dg/dp)     of g(p, b) = 0
@@ -11,8 +11,9 @@ Checked in tests/contracts/test_responses.py, tests/extensions/vibrations/measur
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import torch
@@ -21,31 +22,45 @@ from torch import Tensor
 from torchmbd.errors import DesignFailure, InputError, checked_signature, one_of
 from torchmbd.extensions.vibrations.eigenvalues import NATURAL, POLES
 from torchmbd.extensions.vibrations.measures.system_vibrations import OfVibrations, number_of, positive_band, rising
-from torchmbd.extensions.vibrations.steady_states import steady_states
+from torchmbd.extensions.vibrations.steady_states import Shaft, SteadyStates, steady_states
+from torchmbd.extensions.vibrations.whirl import SeenFromGround, Whirl
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole, positive, scalar
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.module_call import outside_transforms
+from torchmbd.multibody.bodies.flexible import FlexibleBody
 from torchmbd.multibody.system import System
+from torchmbd.multibody.system.steady_rotation import GROUND, TURNING
 
 _STEPS = 60  # of Newton's method; bisection alone takes 50 to double precision
 _ACCURACY = 1e-12  # of the root, relative
 _STILL = 1e-9  # share of |s| below which a real part is rounding: the pole neither decays nor grows
 _ROUNDING = 1e-13  # of poles, as a share of the largest
 SPEED = "speed"
+# Of a speed: at a critical speed of unbalance a shaft stands still in turning axes, and the zero has no derivative. What a
+# fixed observer sees is smooth there: a cubic through four speeds beside it has it to the fourth power of this share.
+_BESIDE = 1e-2
 
 Designs = dict[str, Tensor]
 Function = Callable[[Tensor, Designs, Any, bool], Tensor]
 
 
-def root(g: Function, designs: Designs, bracket: Callable[[Designs], tuple[float, float, Any]], name: str) -> Tensor:
+def root(
+    g: Function,
+    designs: Designs,
+    bracket: Callable[[Designs], tuple[float, float, Any]],
+    name: str,
+    accuracy: float = _ACCURACY,
+) -> Tensor:
     """The zero p [] of g(p, designs, more, mean); a differentiable function of the designs.
 
     g         with `mean` eigenvalues that coincide have the mean of their derivatives, which is enough for the search
     bracket   of constant designs: two numbers between which g has two signs, and what else g takes
     """
     tensors = list(designs.values())
-    p, slope, more = outside_transforms(lambda *x: _search(g, dict(zip(designs, x, strict=True)), bracket), *tensors)
+    p, slope, more = outside_transforms(
+        lambda *x: _search(g, dict(zip(designs, x, strict=True)), bracket, accuracy), *tensors
+    )
     if not slope:
         raise DesignFailure(f"{name} has no derivative at {p:g}: the curves touch and do not cross")
     y = g(torch.tensor(p, dtype=torch.float64), designs, more, False)
@@ -53,7 +68,7 @@ def root(g: Function, designs: Designs, bracket: Callable[[Designs], tuple[float
 
 
 def _search(
-    g: Function, designs: Designs, bracket: Callable[[Designs], tuple[float, float, Any]]
+    g: Function, designs: Designs, bracket: Callable[[Designs], tuple[float, float, Any]], accuracy: float
 ) -> tuple[float, float, Any]:
     """p with g(p) = 0, the derivative of g by p there, and what else g takes."""
     designs = {key: x.detach() for key, x in designs.items()}
@@ -73,7 +88,7 @@ def _search(
         a, b = (p, b) if (y < 0.0) == below else (a, p)
         new = p - y / slope if slope else a
         new = new if a < new < b else 0.5 * (a + b)
-        done = abs(new - p) <= _ACCURACY * max(abs(a), abs(b))
+        done = abs(new - p) <= accuracy * max(abs(a), abs(b))
         p = new
         if done:
             break
@@ -93,15 +108,18 @@ def _check_points(points: object) -> None:
 @checked_signature
 @dataclass(frozen=True)
 class CriticalSpeed(OfVibrations):
-    """A speed [lanes] [rad/s] at which a natural frequency is a multiple of the speed.
+    """A speed [lanes] [rad/s] at which a natural frequency, as a fixed observer sees it, is a multiple of the speed.
 
     number    1 is the lowest within `between`
-    order     the multiple: 1 for unbalance seen from the ground, the number of loads per turn for blades
+    order     the multiple: 1 for unbalance, which turns with the shaft
     between   (lowest, highest) speed that is searched [rad/s], positive
     points    speeds of the grid, equally spaced; two crossings of one frequency between neighbors are missed
-    axis, center, observer   of the rotation, as of OfVibrations; of rotors in bearings the observer is in the "ground"
+    axis, center   of the rotation, as of OfVibrations
+    observer  of no effect: a critical speed is one of a fixed observer. Rigid bodies and flexible beams are computed in axes
+              of the ground, bodies with modes in axes that turn with them: of these the bearings must be alike all around
 
-    Raises InputError where there are fewer.
+    Raises InputError where there are fewer, and for vibrations of blades and flat shafts, of which a fixed observer sees
+    several frequencies. `CampbellClearance` has the orders of loads that a turning blade meets.
 
     >>> disk = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01))
     >>> bearing = mbd.Bushing(mbd.Ground().at(), disk.at(), (5e4, 8e3, 5e3), turning_stiffness=(0.0, 30.0, 30.0))
@@ -127,22 +145,61 @@ class CriticalSpeed(OfVibrations):
     def value(self, motion: Trajectory) -> Tensor:
         return _of_lanes(motion, lambda designs: self._of_lane(motion.system, designs))
 
+    def shaft_of(self, system: System) -> Shaft:
+        """The axis of rotation, with the observer in whose axes is computed."""
+        modal = any(isinstance(body, FlexibleBody) for body in system.bodies)
+        return replace(self.shaft, observer=TURNING if modal else GROUND)
+
     def _of_lane(self, system: System, designs: Designs) -> Tensor:
-        def g(speed: Tensor, designs: Designs, mode: int, mean: bool) -> Tensor:
-            states = steady_states(system, speed[None], self.shaft, designs)
-            return states.eigenvalues(NATURAL, [mode], mean=mean)[0, 0, 0] - self.order * speed
+        shaft = self.shaft_of(system)
+        modal = shaft.observer == TURNING
+        last: list[SeenFromGround] = []
 
-        return root(g, designs, lambda designs: self._bracket(system, designs), "the critical speed")
+        def seen(speed: Tensor, designs: Designs, number: int, mean: bool) -> Tensor:
+            """The frequency that a fixed observer sees [rad/s], out of those in turning axes beside the speed."""
+            speeds = speed * (1.0 + _BESIDE * torch.tensor([-2.0, -1.0, 1.0, 2.0], dtype=torch.float64))
+            states = steady_states(system, speeds, shaft, designs)
+            if mean:
+                last[:] = [_seen_from_ground(system, states, shaft, speeds, number)]
+            w = states.eigenvalues(NATURAL, last[0] if mean else last[0].chosen, mean=mean)[0]
+            w = (w.gather(1, last[0].places) + last[0].orders * speeds[:, None]).abs()[:, 0]
+            return (4.0 * (w[1] + w[2]) - w[0] - w[3]) / 6.0
 
-    def _bracket(self, system: System, designs: Designs) -> tuple[float, float, int]:
+        def g(speed: Tensor, designs: Designs, number: int, mean: bool) -> Tensor:
+            if modal:
+                return seen(speed, designs, number, mean) - self.order * speed
+            states = steady_states(system, speed[None], shaft, designs)
+            return states.eigenvalues(NATURAL, [number], mean=mean)[0, 0, 0] - self.order * speed
+
+        accuracy = _BESIDE**4 if modal else _ACCURACY
+        return root(g, designs, lambda designs: self._bracket(system, designs, shaft), "the critical speed", accuracy)
+
+    def _bracket(self, system: System, designs: Designs, shaft: Shaft) -> tuple[float, float, int]:
         """Two speeds around the crossing, and the number of the frequency from 0."""
         speeds = torch.linspace(*self.between, self.points, dtype=torch.float64)
-        w = steady_states(system, speeds, self.shaft, designs).eigenvalues(NATURAL)[0]
+        states = steady_states(system, speeds, shaft, designs)
+        if shaft.observer == TURNING:
+            seen = _seen_from_ground(system, states, shaft, speeds)
+            w = states.eigenvalues(NATURAL, seen)[0]
+            several = seen.orders.isnan() & ~w.isnan()
+            if bool(several.any()):
+                i, k = several.nonzero()[0].tolist()
+                raise DesignFailure(
+                    f"no critical speeds: vibrations must be whirl of a round shaft, but a fixed observer sees several "
+                    f"frequencies of vibration {k + 1} at {float(speeds[i]):g} rad/s. Try: CampbellClearance for blades."
+                )
+            w = (w + seen.orders * speeds[:, None]).abs().sort(dim=1).values
+        else:
+            w = states.eigenvalues(NATURAL)[0]
         g = w - self.order * speeds[:, None]
         crossings = []
-        numbers = ~(g[:-1].isnan() | g[1:].isnan())  # where vibrations grow the lowest is none
-        for i, k in (numbers & ((g[:-1] < 0.0) != (g[1:] < 0.0))).nonzero().tolist():
-            share = float(g[i, k] / (g[i, k] - g[i + 1, k]))
+        ends = g[:-1].isnan() != g[1:].isnan()
+        for i, k in (ends | ((g[:-1] < 0.0) != (g[1:] < 0.0))).nonzero().tolist():
+            here, there = float(g[i, k]), float(g[i + 1, k])
+            if math.isnan(here + there):  # no frequency without damping: a crossing is neither seen nor excluded
+                crossings.append((float(speeds[i]), i, k))
+                continue
+            share = here / (here - there)
             crossings.append((float(speeds[i]) + share * float(speeds[i + 1] - speeds[i]), i, k))
         if len(crossings) < self.number:
             low, high = self.between
@@ -150,8 +207,25 @@ class CriticalSpeed(OfVibrations):
                 f"critical speed {self.number} of order {self.order:g} is not between {low:g} and {high:g} rad/s, where "
                 f"{len(crossings)} are found; allowed: another range, or more points"
             )
-        _, i, k = sorted(crossings)[self.number - 1]
+        crossings = sorted(crossings)[: self.number]
+        for _, i, k in crossings:
+            if bool(g[i : i + 2, k].isnan().any()):
+                raise DesignFailure(
+                    f"critical speed {self.number} is not known: between {float(speeds[i]):g} and {float(speeds[i + 1]):g} "
+                    f"rad/s frequency {k + 1} ends, because vibrations without damping grow. Try: another range."
+                )
+        _, i, k = crossings[-1]
         return float(speeds[i]), float(speeds[i + 1]), k
+
+
+def _seen_from_ground(
+    system: System, states: SteadyStates, shaft: Shaft, speeds: Tensor, number: int | None = None
+) -> SeenFromGround:
+    modes = {name: x.reshape(-1, *x.shape[-3:])[0] for name, x in states.modes.items()}
+    center = torch.as_tensor(shaft.center, dtype=torch.float64)
+    return SeenFromGround(
+        Whirl(system, states.dynamics.topology, modes, shaft.direction, center), states.q, speeds, number
+    )
 
 
 @checked_signature

@@ -51,7 +51,8 @@ def draw_vibrations(
     """
     asked: dict[Any, list[OfVibrations]] = {}
     for measure in measures:
-        asked.setdefault(measure.shaft, []).append(measure)
+        shaft = measure.shaft_of(motion.system) if isinstance(measure, CriticalSpeed) else measure.shaft
+        asked.setdefault(shaft, []).append(measure)
     pages = []
     with torch.no_grad():
         for k, (shaft, of_shaft) in enumerate(asked.items()):
