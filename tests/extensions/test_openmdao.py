@@ -45,6 +45,42 @@ def test_values_and_partials():
             assert np.abs(result["J_fwd" if "J_fwd" in result else "J_rev"] - result["J_fd"]).max() < 1e-5 * size, key
 
 
+def test_parameters_of_one_number():
+    """A block on a spring that rests at 0.01: x = 0.01 (1 - cos sqrt(k / m) t)."""
+    om = pytest.importorskip("openmdao.api")
+    k, m, t = 2e3, 1.0, 0.02
+    ground, block = mbd.Ground(), mbd.RigidBody("block", mbd.variable(m), (1e-3, 1e-3, 1e-3))
+    slide = mbd.Prismatic(ground.at(), block.at(), axis="x")
+    spring = mbd.AxialSpringDamper(ground.at(), block.at(), "x", stiffness=mbd.variable(k), rest=0.01, name="spring")
+    system = mbd.System([block], [slide], [spring])
+    problem = om.Problem(reports=False)
+    component = mbd.openmdao_component(system, t, {"x": mbd.Final(mbd.Displacement("block", "x"))}, steps=200)
+    problem.model.add_subsystem("block", component, promotes=["*"])
+    problem.setup()
+    problem.run_model()
+    w = np.sqrt(k / m)
+    assert problem.get_val("x") == pytest.approx(0.01 * (1 - np.cos(w * t)), rel=1e-5)
+    totals = problem.compute_totals(of=["x"], wrt=["spring:stiffness", "block:mass"])
+    slope = 0.01 * t * np.sin(w * t) * w / 2
+    assert totals["x", "spring:stiffness"].item() == pytest.approx(slope / k, rel=1e-4)
+    assert totals["x", "block:mass"].item() == pytest.approx(-slope / m, rel=1e-4)
+
+
+def test_a_complex_step_is_refused():
+    """Its derivatives would be zero."""
+    om = pytest.importorskip("openmdao.api")
+    component = mbd.openmdao_component(mbd.examples.arm(), 0.002, {"energy": ENERGY}, steps=2)
+    problem = om.Problem(reports=False)
+    problem.model.add_subsystem("arm", component, promotes=["*"])
+    problem.model.add_design_var("arm:laminate:angles")
+    problem.model.add_objective("energy")
+    problem.model.approx_totals(method="cs")
+    problem.setup(force_alloc_complex=True)
+    problem.run_model()
+    with pytest.raises(RuntimeError, match="a motion has no complex step"):
+        problem.compute_totals()
+
+
 @pytest.mark.thorough
 def test_an_optimization_ends_where_ours_does():
     om = pytest.importorskip("openmdao.api")

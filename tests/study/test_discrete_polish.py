@@ -38,6 +38,10 @@ def test_the_best_design_on_the_steps(write, folder, empty_store):
     least = min(e.objective for e in problem.evaluate(every, False))
     metrics = open_store(tracker.uri).get_run(tracker.record.runs["study"]).data.metrics
     assert metrics["objective"] == pytest.approx(least, rel=1e-9)
+    [start] = problem.evaluate(problem.start[None], False)
+    gain = 100.0 * (start.objective - metrics["objective"]) / abs(start.objective)
+    assert metrics["reduction_percent"] == pytest.approx(gain, rel=1e-9)
+    assert metrics["best_objective"] == metrics["objective"]
     assert metrics["relaxed_objective"] <= (1.0 + 1e-6) * metrics["objective"]
     angles = np.array([metrics["design/angle_1_deg"], metrics["design/angle_2_deg"]])
     np.testing.assert_allclose(angles, 30 * np.round(angles / 30), atol=1e-9)

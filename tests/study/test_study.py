@@ -202,9 +202,7 @@ def test_other_problems_fronts_tolerances_and_steps(own):
     robust = mbd.Study(worst, mbd.sobol(2, seed=1), name="robust", max_iterations=2).run(console=QUIET)
     assert robust.columns.names == ("angle_1_deg", "angle_2_deg")
     assert robust.best is not None
-    stepped = mbd.Study(
-        problem(), name="steps", max_iterations=2, increments={"rod.laminate.angles": float(mbd.deg(15.0))}
-    )
+    stepped = mbd.Study(problem(), name="steps", max_iterations=2, increments={"rod.laminate.angles": mbd.deg(15.0)})
     angles = np.degrees(stepped.run(console=QUIET).best.x) / 15.0
     np.testing.assert_allclose(angles, angles.round(), atol=1e-9)
 

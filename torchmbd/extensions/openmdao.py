@@ -50,7 +50,8 @@ def openmdao_component(
     gradients  of the Jacobian: "reverse" or "forward", as in `simulate`
     options    of `simulate`: steps, method, start and others
 
-    A motion that fails raises OpenMDAO's AnalysisError, which its drivers handle, with the status of the motion.
+    A motion that fails raises OpenMDAO's AnalysisError, which its drivers handle, with the status of the motion. A complex step
+    through the component raises RuntimeError: motions are real numbers.
     Raises InputError without the package openmdao, and for unknown parameters.
 
     >>> from importlib.util import find_spec
@@ -95,12 +96,12 @@ def openmdao_component(
             self.declare_partials("*", "*")
 
         def compute(self, inputs: Any, outputs: Any) -> None:
-            motion = self.motion(_design(inputs, names), "none")
+            motion = self.motion(self.design(inputs), "none")
             for name, values in zip(responses, self.values(motion), strict=True):
                 outputs[name] = values[0].numpy()
 
         def compute_partials(self, inputs: Any, partials: Any) -> None:
-            motion = self.motion(_design(inputs, names), gradients)
+            motion = self.motion(self.design(inputs), gradients)
             gradient = differentiate(self.values, motion).gradient
             assert gradient is not None
             first = 0
@@ -111,6 +112,16 @@ def openmdao_component(
                     partials[output, _input(name)] = gradient[0, first:last, begin:end].numpy()
                     begin = end
                 first = last
+
+        def design(self, inputs: Any) -> dict[str, Tensor]:
+            """The parameters in their shapes, where OpenMDAO has vectors; RuntimeError in a complex step."""
+            if self.under_complex_step:
+                raise RuntimeError(
+                    f"{self.pathname or 'motion'}: a motion has no complex step, its derivatives would be zero. Try: partials "
+                    "and totals of the component, which are exact, or method='fd'"
+                )
+            values = {name: torch.from_numpy(np.array(inputs[_input(name)], dtype=float)) for name in names}
+            return {name: x.reshape(parameters[name].shape) for name, x in values.items()}
 
         def motion(self, design: Mapping[str, Tensor], gradients: str) -> Trajectory:
             """The motion of one design; AnalysisError if it fails."""
@@ -130,7 +141,3 @@ def openmdao_component(
 
 def _input(name: str) -> str:
     return name.replace(".", ":")
-
-
-def _design(inputs: Any, names: Sequence[str]) -> dict[str, Tensor]:
-    return {name: torch.as_tensor(np.asarray(inputs[_input(name)])).to(torch.float64) for name in names}

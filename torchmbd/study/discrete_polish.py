@@ -52,8 +52,7 @@ def search_on_steps(
         soft_wrap=True,
         highlight=False,
     )
-    numbers = {"objective": study.sign * best.value, "violation": best.violation, **journal.design_metrics(best.x)}
-    numbers |= {} if continuous is None else {"relaxed_objective": study.sign * continuous.value}
-    journal.summary(numbers, {})
+    journal.summary({} if continuous is None else {"relaxed_objective": study.sign * continuous.value}, {})
+    journal.outcome(best.x, best.value, best.violation)
     journal.design(best.x)
     return result

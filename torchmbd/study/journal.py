@@ -156,6 +156,13 @@ class Journal(Runs):
         self.tracker.metrics(PARENT, _finite(numbers), self.iterates)
         self.tracker.tags(PARENT, tags)
 
+    def outcome(self, x: np.ndarray, value: float, violation: float) -> None:
+        """Log the design of the study [SI], its minimized objective and violation, and the gain over start 0."""
+        sign, initial = self.study.sign, self.first.get(0, math.nan)
+        objectives = dict.fromkeys(("objective", "best_objective"), sign * value)
+        gain = {gain_metric(sign): percent(initial, value)} if initial else {}
+        self.summary(objectives | {"violation": violation} | gain | self.design_metrics(x), {})
+
     def best(self, result: OptimizationResult) -> None:
         """Mark the best start, and write its design."""
         self.tracker.tags(child(result.start), {"best": "true"})

@@ -30,8 +30,8 @@ from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.discrete_polish import search_on_steps
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.front import run_front
-from torchmbd.study.journal import Journal, percent
-from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS, constraint_names, gain_metric, without_group
+from torchmbd.study.journal import Journal
+from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS, constraint_names, without_group
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
 from torchmbd.study.progress import Beginning, Progress
 from torchmbd.study.report import active_text, print_results, save_pictures
@@ -203,7 +203,7 @@ def _search(
         )
     best = outcome.best
     print_results(study, outcome, journal.failures, console)
-    _summarize(outcome, study.sign, journal)
+    _summarize(outcome, journal)
     if best is not None:
         journal.best(best)
     elif not outcome.interrupted:
@@ -241,16 +241,12 @@ def _no_design_reason(outcome: MultistartResult, study: StudySettings) -> str:
     )
 
 
-def _summarize(result: MultistartResult, sign: float, journal: Journal) -> None:
+def _summarize(result: MultistartResult, journal: Journal) -> None:
     numbers = {STARTS: len(result.results), CONVERGED: result.converged, ANALYSES: result.analyses}
     tags = {}
     best = result.best
     if best is not None:
-        initial = journal.first.get(0, float("nan"))
-        value = sign * best.value
-        numbers |= {"objective": value, "best_objective": value, "violation": best.violation}
-        numbers |= {gain_metric(sign): percent(initial, best.value)} if initial else {}
-        numbers |= journal.design_metrics(best.x)
+        journal.outcome(best.x, best.value, best.violation)
         tags = {"best_start": str(best.start), "status": best.status, "message": best.message}
         tags |= {ACTIVE: active_text(best), "accuracy": getattr(best.problem, "accuracy", "")}
     tags |= {SEARCH_TEXT: result.search_text}

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
+from torch import Tensor
 
 from torchmbd.design import Tradeoff
 from torchmbd.errors import InputError, argument_names, nearest, unknown
+from torchmbd.math.checked_numbers import positive
 from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
 from torchmbd.optimization import OPTIMIZERS, RobustProblem, Starts
@@ -80,7 +82,7 @@ class StudySettings(Summary):
         name: str = "study",
         *,
         max_iterations: int = MAX_ITERATIONS,
-        increments: Mapping[str, float] | None = None,
+        increments: Mapping[str, float | Tensor] | None = None,
         sweep: Mapping[str, tuple[float, float, int]] | None = None,
         question: str = "",
         units: Mapping[str, str] | None = None,
@@ -134,23 +136,22 @@ class StudySettings(Summary):
         scalars = [] if self.system is None else [n for n, x in self.system.named_parameters() if not x.ndim]
         return Columns.of(names, angles | dict(units or {}), scalars)
 
-    def _checked_increments(self, increments: Mapping[str, float] | None) -> list[float | None]:
+    def _checked_increments(self, increments: Mapping[str, float | Tensor] | None) -> list[float | None]:
         """Return the increment of each design variable [SI], None where it takes any value."""
         if increments is not None and not isinstance(increments, Mapping):
             raise InputError(f"increments is {increments!r}; allowed: parameter -> step")
         names = list(self.problem.names)
-        for parameter, step in (increments or {}).items():
+        for parameter in increments or {}:
             if all(parameter not in (name, name.rpartition("[")[0]) for name in names):
                 raise unknown("increments of parameter", parameter, names)
-            if isinstance(step, bool) or not isinstance(step, (int, float)) or not 0.0 < step < np.inf:
-                raise InputError(f"increments of {parameter} is {step!r}; allowed: a positive number [SI]")
-        known = increments or {}
+        # A number may be a tensor, as of mbd.deg.
+        known = {name: positive(f"increments of {name}", step, "SI") for name, step in (increments or {}).items()}
         steps = [known.get(name, known.get(name.rpartition("[")[0])) for name in names]
         if any(steps) and (self.front or self.has_extra_variable):
             raise InputError("design has a step, and the objective several rows; allowed: one number, such as max")
         if any(steps):
             Grid(self.problem, steps, self.problem.lower, self.problem.upper, getattr(self.problem, "period", None))
-        return [None if step is None else float(step) for step in steps]
+        return steps
 
     def _sweep_values(self, spans: Mapping[str, tuple[float, float, int]] | None) -> tuple[int, np.ndarray] | None:
         """Return the index of the swept variable and its values [SI]; None without a sweep."""

@@ -65,8 +65,9 @@ def _run(wrapped: WrappedProblem, nlopt, algorithm: str, ftol: float, xtol: floa
     gave_up = ""
     try:
         y = optimizer.optimize(wrapped.y)
-    except (nlopt.ForcedStop, RuntimeError, ValueError) as error:  # stopped by us, or its generic failure (round-off)
-        y, gave_up = wrapped.y if search.best is None else search.best, f"NLopt gave up: {error}"
+    except _errors(nlopt) as error:  # stopped by us, or a failure of its own, such as round-off
+        reason = str(error) or type(error).__name__
+        y, gave_up = wrapped.y if search.best is None else search.best, f"NLopt gave up: {reason}"
     if calls.raised:
         raise calls.raised[0]
     if gave_up:
@@ -75,6 +76,12 @@ def _run(wrapped: WrappedProblem, nlopt, algorithm: str, ftol: float, xtol: floa
     if code == nlopt.MAXEVAL_REACHED:
         raise LimitReached
     return Stop(np.clip(y, wrapped.lower, wrapped.upper), code > 0, f"NLopt's criteria hold (code {code})")
+
+
+def _errors(nlopt) -> tuple[type[Exception], ...]:
+    """The errors of NLopt: from 2.11 on they are below `exception` of its own, before below RuntimeError and ValueError."""
+    names = ("ForcedStop", "RoundoffLimited", "exception")
+    return RuntimeError, ValueError, *(getattr(nlopt, name) for name in names if hasattr(nlopt, name))
 
 
 class _Calls:
