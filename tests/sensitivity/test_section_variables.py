@@ -35,6 +35,11 @@ SECTIONS = {
     "i_section": lambda: mbd.sections.i_section(
         V(0.02), V(0.03), ply(), dict.fromkeys(("top", "web", "bottom"), (0.3,)), V(1e-3), cells=(2, 3, 1)
     ),
+    "c_section": lambda: mbd.sections.c_section(V(0.02), V(0.03), ply(), ANGLES, V(1e-3), cells=(2, 1)),
+    "hat_section": lambda: mbd.sections.hat_section(V(0.03), V(0.012), V(0.02), ply(), (0.3,), V(1e-3), cells=(2, 1)),
+    "t_section": lambda: mbd.sections.t_section(
+        V(0.02), V(0.03), ply(), {"top": (0.3,), "web": (0.1,)}, V(1e-3), cells=(2, 1)
+    ),
 }
 BENT = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.2, 0.05, 0.0], [0.25, 0.1, 0.05], [0.3, 0.1, 0.1]]
 

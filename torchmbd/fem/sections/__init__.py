@@ -10,6 +10,7 @@ torch.Size([6, 6])
 from torchmbd.fem.sections.generators import box, circle, i_section, rectangle, strip, tube
 from torchmbd.fem.sections.mesh import SectionMesh
 from torchmbd.fem.sections.orthotropic import Orthotropic
+from torchmbd.fem.sections.profiles import c_section, hat_section, l_section, t_section, z_section
 from torchmbd.fem.sections.section import FORCES, Section, SectionStress
 
 __all__ = [
@@ -19,9 +20,14 @@ __all__ = [
     "SectionMesh",
     "SectionStress",
     "box",
+    "c_section",
     "circle",
+    "hat_section",
     "i_section",
+    "l_section",
     "rectangle",
     "strip",
+    "t_section",
     "tube",
+    "z_section",
 ]

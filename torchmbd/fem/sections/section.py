@@ -63,11 +63,12 @@ class Section(nn.Module):
     ply      one Ply or Orthotropic, or one for each layer; numbers of it that vary are parameters, as of a Laminate
     angles   of the fiber about the wall's normal, from x to the wall's tangent [layers], rad
 
-    The functions of `mbd.sections` make it: tube, box, strip, i_section, circle, rectangle.
+    The functions of `mbd.sections` make it: tube, box, strip, circle, rectangle, and profiles such as
+    i_section and c_section.
     """
 
     #: Parameters that are positive in any design.
-    positive: ClassVar[tuple[str, ...]] = ("width", "height", "radius", "thickness")
+    positive: ClassVar[tuple[str, ...]] = ("width", "height", "radius", "crown", "thickness")
     angles: Tensor
     _constant: Tensor
 
