@@ -31,7 +31,7 @@ from torchmbd.fem.elements.plate import PlateMatrices
 from torchmbd.fem.elements.shell_geometric import stressed_shells
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.materials.isotropic_mean import present_mean
-from torchmbd.fem.mesh import Mesh
+from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.math.sparse import Pattern
 
 MASSES = ("lumped", "consistent")
@@ -40,7 +40,7 @@ MASSES = ("lumped", "consistent")
 class Plates:
     """One laminate on cells of a mesh (default: all), or several of the same plies, each on its own cells.
 
-    direction   the laminate's x-axis in mesh axes: [3], or one for each cell of the mesh [m, 3]
+    direction   the laminate's x-axis in mesh axes: [3], one for each cell of the mesh [m, 3], or a rule (mbd.mesh.around)
     cells       numbers of the cells that are made of it
     mass        "lumped" or "consistent"
     zones       which of several laminates each of the cells is made of
@@ -50,13 +50,15 @@ class Plates:
         self,
         mesh: Mesh,
         laminate: Laminate | Sequence[Laminate],
-        direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+        direction: Sequence[float] | Tensor | MaterialAxes = (1.0, 0.0, 0.0),
         cells: Sequence[int] | Tensor | None = None,
         mass: str = "lumped",
         zones: Int[Tensor, " cells"] | None = None,
     ) -> None:
         if mass not in MASSES:
             raise unknown("mass", mass, MASSES)
+        if isinstance(direction, MaterialAxes):
+            direction = direction.of_cells(mesh)
         several = isinstance(laminate, Sequence)
         self.laminates, self.mass, self.direction = tuple(laminate) if several else (laminate,), mass, direction
         if not isinstance(mesh, Mesh):

@@ -35,7 +35,7 @@ from torchmbd.fem.elements import (
 )
 from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
 from torchmbd.fem.materials import Laminate
-from torchmbd.fem.mesh import Mesh
+from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
@@ -188,7 +188,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass: str = "lumped",
         rigid: Sequence[str | Sequence[int]] = (),
         stiffening: bool = False,
-        direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+        direction: Sequence[float] | Tensor | MaterialAxes = (1.0, 0.0, 0.0),
     ) -> FlexibleBody:
         """A laminated plate or shell.
 
@@ -207,7 +207,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass            "lumped" (eq. 2), or "consistent", for comparison
         rigid           node sets that move as one rigid body each
         stiffening      True: displacements of second order, so that spin and forces of joints stiffen it (stiffening.py)
-        direction       the laminate's x-axis in mesh axes, projected into each cell: [3], or one for each [m, 3]
+        direction       the laminate's x-axis in mesh axes, projected into each cell: [3], one for each [m, 3], or a rule for
+                        curved shells: mbd.mesh.around, mbd.mesh.along, mbd.mesh.in_system
         """
         parts = {"plate": Plates(mesh, laminate, direction, mass=mass)}
         options = (position, axes, reference, damping, reduction, interface, updated, (), rigid, stiffening)
