@@ -33,6 +33,7 @@ from torchmbd.design.spline import Spline, Window, checked_window
 from torchmbd.design.supported_frequencies import check_supports, supported_frequencies
 from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction import eigenvalues
+from torchmbd.fem.reduction.padding import with_stiff_padding
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole, scalar
 from torchmbd.multibody.statics.supported_body import Supports
@@ -311,14 +312,14 @@ class Frequency(Measure):
         self.check(motion.system)
         if self.supports is not None:
             return supported_frequencies(motion, self.body, self.supports, self.number)[:, -1]
-        square = eigenvalues(motion.body(self.body).stiffness[0])[..., self.number - 1]
+        square = eigenvalues(with_stiff_padding(motion.body(self.body).stiffness[0]))[..., self.number - 1]
         return torch.sqrt(square) / (2.0 * math.pi)
 
 
 def _check_number(system: System, body: str, number: int, supports: Supports | None) -> None:
-    modes = flexible_body(system, body).modes if supports is None else 1
+    modes = flexible_body(system, body).fewest_modes if supports is None else 1
     if not is_whole(number) or number < 1 or (supports is None and number > modes):
-        allowed = f"1 to {modes}, the retained modes of {body!r}" if supports is None else "1, 2, ..."
+        allowed = f"1 to {modes}, the modes that every design of {body!r} retains" if supports is None else "1, 2, ..."
         raise InputError(f"number is {number!r}; allowed: {allowed}")
     if supports is not None:
         check_supports(system, body, supports, number)
@@ -369,7 +370,7 @@ class Frequencies(Measure):
             frequencies = supported_frequencies(motion, self.body, self.supports, max(self.cluster))[:, rows]
             squares = (2.0 * math.pi * frequencies) ** 2
         else:
-            squares = eigenvalues(motion.body(self.body).stiffness[0])[..., rows]
+            squares = eigenvalues(with_stiff_padding(motion.body(self.body).stiffness[0]))[..., rows]
         powers = torch.logsumexp(self.power * squares.log(), -1) - math.log(len(self.cluster))
         return torch.exp(powers / (2.0 * self.power)) / (2.0 * math.pi)
 

@@ -121,8 +121,8 @@ def check_backend(backend: Any) -> None:
 def start_of(system: System, start: Any) -> Start:
     """The initial state that `start` describes; InputError says what is allowed."""
     if isinstance(start, MotionData):
-        Kr = start.dynamics.data.get("Kr")
-        return Start.of_motion(system, start.q[:, -1], start.v[:, -1], None if Kr is None else value(Kr))
+        T, Kr = start.dynamics.topology, start.dynamics.data.get("Kr")
+        return Start.of_motion(system, start.q[:, -1], start.v[:, -1], T, None if Kr is None else value(Kr))
     return Start.of(system, start)
 
 

@@ -10,7 +10,7 @@ Checked in tests/integrate/test_motion.py, tests/sensitivity/.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -63,9 +63,12 @@ class ForwardIntegration(IntegratedMotion):
         if self.phases is None:
             dynamics = self.system.dynamics(designs, tangents=self.variables)
             return OneSegment(with_backend(dynamics, self.backend, self.integrator.work), self.duration)
-        self.system, segments = segments_of(self.system, self.phases, self.duration)
+        whole, _ = segments_of(self.system, self.phases, self.duration)
+        dynamics = whole.dynamics(designs, tangents=self.variables)
+        system = self.system.with_modes(dynamics.topology.mode_counts)
+        self.system, segments = segments_of(system, self.phases, self.duration)
         self.actions = tuple(segment.topology.actions for segment in segments)
-        dynamics = with_backend(self.system.dynamics(designs, tangents=self.variables), self.backend, ())
+        dynamics = with_backend(replace(self.system.equations(), data=dynamics.data), self.backend, ())
         directions = unit_directions({name: designs[name] for name in self.variables})
         views = Views.of(self.system, dynamics, designs, directions)
         return SeveralSegments(dynamics, segments, views, self.duration)

@@ -277,10 +277,14 @@ def _reverse(
     phases: Sequence[Phase] | None,
 ) -> Trajectory:
     """A motion whose structure stage is differentiated by torch, and its steps by their adjoint; also by a `duration` []."""
-    seconds, segments = seconds_of(duration), None
+    seconds, segments, model = seconds_of(duration), None, system
     if phases is not None:
-        system, segments = outside_transforms(lambda: segments_of(system, phases, seconds))
+        system, segments = outside_transforms(lambda: segments_of(model, phases, seconds))
     dynamics, shapes = system.stages(batch)
+    if phases is not None:
+        mode_counts = dynamics.topology.mode_counts
+        system, segments = outside_transforms(lambda: segments_of(model.with_modes(mode_counts), phases, seconds))
+        dynamics = replace(system.equations(), data=dynamics.data)
     data = dynamics.data | times_of(segments or ())
     if isinstance(duration, Tensor):
         data[DURATION] = duration[None, None]

@@ -100,7 +100,9 @@ class Simulation:
         motion   the motion of these arguments: modal coordinates of its start are those of its modes
         Raises InputError for a static equilibrium that begins with modal coordinates.
         """
-        return self._with_bodies(motion, *richer_system(self.system))
+        T = motion.dynamics.topology
+        modes = dict(zip(T.names, T.mode_counts, strict=False))  # flexible bodies are the first
+        return self._with_bodies(motion, *richer_system(self.system, modes))
 
     def with_finer_meshes(self, motion: Any) -> Any | None:
         """The same on meshes of twice as many cells in each direction; None where no body has such a mesh."""

@@ -21,6 +21,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.fem.reduction import StaticLoads
+from torchmbd.fem.reduction.padding import with_stiff_padding
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
@@ -45,7 +46,7 @@ class UnitLoads:
         P = assembly.forces_on_nodes(inertial_loads(points, x), points.arm)
         P = torch.cat([P, *(loads.expand(*P.shape[:-3], *loads.shape) for loads in self._on_mounts)], -1)
         whole = assembly.freedoms.expand(self._static(assembly.stiffness(), assembly.freedoms.gathered(P)))
-        share = torch.linalg.solve(Kr, psi.flatten(-3, -2).mT @ P.flatten(-3, -2))
+        share = torch.linalg.solve(with_stiff_padding(Kr), psi.flatten(-3, -2).mT @ P.flatten(-3, -2))
         return whole - (psi.flatten(-3, -2) @ share).unflatten(-2, psi.shape[-3:-1])
 
 

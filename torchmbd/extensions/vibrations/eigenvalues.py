@@ -52,7 +52,8 @@ def eigenvalues(
     and the data of the dynamics.
 
     kind        "natural": angular frequencies [rad/s]; "poles" [1/s], complex
-    modes       their numbers from 0, in the order of spectrum.py; None: all; or a function that chooses them
+    modes       their numbers from 0, in the order of spectrum.py; None: all that every lane has, as designs may retain
+                different numbers of modes; or a function that chooses them
     symmetric   the caller makes a symmetric function of these numbers: derivatives are refused only where another eigenvalue,
                 which is not among the numbers, coincides with one of them
     mean        the derivative of each is the mean of those that coincide, and none is refused: for a search
@@ -106,15 +107,10 @@ class _Eigenproblem:
         lanes = max(x.shape[-1] for x in inputs)
         self.inputs = [x.expand(*x.shape[:-1], lanes) for x in inputs]
         self.spectra = self._spectra()
-        sizes = {self._size(lane) for lane in range(lanes)}
-        if len(sizes) > 1:
-            raise InputError(
-                f"lanes have {sorted(sizes)} vibrations; allowed: designs with the same number of freedoms"
-            )
-        (size,) = sizes
+        size = min(self._size(lane) for lane in range(lanes))
         self.numbers = range(size) if self.modes is None else self._chosen()
         if wrong := [k for k in self.numbers if not 0 <= k < size]:
-            raise InputError(f"number is {wrong[0] + 1}; allowed: 1 to {size}, the vibrations of the system")
+            raise InputError(f"number is {wrong[0] + 1}; allowed: 1 to {size}, the vibrations that all designs have")
         parts = torch.stack([x.values[list(self.numbers)] for x in self.spectra], -1)[:, None]
         return (parts.real, parts.imag) if parts.is_complex() else (parts,)
 
@@ -274,7 +270,9 @@ class AboutState(_Eigenproblem):
             q, data = self._split([x[..., some] for x in self.inputs])
             self.balance += Linearization.each(replace(self.model, data=data), q, self.t, None, self._observer(data))
         few = 1 + max(self.modes) + _NEIGHBORS if isinstance(self.modes, Sequence) else None
-        return [Spectrum.natural(x, few) if self.kind == NATURAL else Spectrum.poles(x) for x in self.balance]
+        spectra = [Spectrum.natural(x, few) if self.kind == NATURAL else Spectrum.poles(x) for x in self.balance]
+        most = max(len(x.values) for x in spectra)
+        return [x.padded(most) for x in spectra]
 
     def _chosen(self) -> Sequence[int]:
         assert self.modes is not None

@@ -62,12 +62,13 @@ def _multipliers(
     T: Topology, data: Any, at: Any, rates: Any, observer: Observer, q: Tensor, balance: Sequence[Linearization]
 ) -> Tensor:
     """Multipliers [rows, 1, lanes] that balance the state: the known ones, by a Newton step that carries derivatives."""
-    active, backs = balance[0].active, {}
+    backs = {}
     lam = torch.stack([rest.lam for rest in balance], -1)[:, None]
-    forces = observer.rows(T, q, equations.dynamic_residual(T, data, at, rates[0], rates[1], lam))[active, 0]
+    forces = observer.rows(T, q, equations.dynamic_residual(T, data, at, rates[0], rates[1], lam))[:, 0]
     for rest in balance:  # lanes may share one
         if id(rest) not in backs:
-            backs[id(rest)] = torch.linalg.pinv(rest.Phi_q[:, active].T, rtol=RELATIVE)
+            back = torch.linalg.pinv(rest.Phi_q[:, rest.active].T, rtol=RELATIVE)
+            backs[id(rest)] = back.new_zeros(T.rows, T.n_v).index_copy(1, rest.active, back)
     back = torch.stack([backs[id(rest)] for rest in balance], -1)
     return lam - torch.einsum("rvl,vl->rl", back, forces)[:, None]
 

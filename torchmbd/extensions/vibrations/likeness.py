@@ -43,18 +43,21 @@ class Shapes(NamedTuple):
 
 
 class NodalShape(NamedTuple):
-    """A shape [n_v] of a design with modes [nodes, 6, modes] of its bodies by their names."""
+    """A shape [n_v] in the rates of a topology, of a design with modes [nodes, 6, modes] of its bodies by their names."""
 
     shape: Tensor
+    topology: Topology
     modes: Mapping[str, Tensor]
 
     def in_modes(self, T: Topology, modes: Mapping[str, Tensor]) -> Tensor:
         """The same displacements [n_v] in the modes of another design."""
-        x = self.shape.clone()
+        x = self.shape.new_zeros(T.n_v)
+        x[: 6 * T.bodies] = self.shape[: 6 * T.bodies]
         for body in range(T.flexible):
-            rows = [row - T.bodies for row in T.w_slice(body)]
+            rows, rows_before = ([row - T.bodies for row in at.w_slice(body)] for at in (T, self.topology))
             before, after = (y[T.names[body]].flatten(0, 1).to(x.dtype) for y in (self.modes, modes))
-            x[rows] = torch.linalg.lstsq(after, before @ x[rows][:, None]).solution[:, 0]
+            w = self.shape[rows_before][:, None]
+            x[rows] = torch.linalg.lstsq(after, before @ w).solution[:, 0]  # zero for modes that are padding
         return x
 
 

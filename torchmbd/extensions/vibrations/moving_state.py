@@ -102,7 +102,8 @@ class MovingLinearization:
         coordinates   names of rows of v, as of Topology.rate_name; None: those that `independent_rows` takes
         """
         T, data = dynamics.topology, {name: value(x) for name, x in dynamics.data.items()}
-        excitation, active, zero = T.prescribed(t, data), unpadded_rates(T), q.new_zeros(T.n_v, 1, 1)
+        excitation, zero = T.prescribed(t, data), q.new_zeros(T.n_v, 1, 1)
+        [active] = unpadded_rates(T, data, 1)
         kept = [i for i in range(T.rows) if i not in dynamics.rank.left_out]
         violation = 0.0
         for _ in range(_PROJECTIONS if kept else 0):

@@ -29,6 +29,7 @@ _GUARD = 4  # vibrations beyond those asked for, so that those that coincide are
 _FEW = 6  # the reciprocal of the largest share of all vibrations that `_lowest_whirl` is for
 _SINGLE_SHAPE = "one of several that coincide and have a single shape (defective)"
 _FREE, _GROWS = "zero, that of a free motion", "not a number: vibrations grow"
+_NOT_RETAINED = "that of a mode that this design does not retain"
 # Share of |s| that the imaginary part of an oscillating pole has at least: nearly equal real poles get 1e-4 by rounding.
 SWINGS = 1e-2
 _DEFECTIVE = 1e-6  # cosine between the left and the right vector, P' between them, below which rounding decides
@@ -67,6 +68,18 @@ class Spectrum:
     def roots(self) -> Tensor:
         """s [k] of the module header."""
         return self.values if self.values.is_complex() else 1j * self.values.nan_to_num()
+
+    def padded(self, count: int) -> Spectrum:
+        """The same with so many eigenvalues: zeros without vectors stand for those that other designs have."""
+        k, further = len(self.values), count - len(self.values)
+        if not further:
+            return self
+        values, *vectors = (
+            torch.nn.functional.pad(x, (0, further))
+            for x in (self.values, self.right, self.left, self.force, self.slip)
+        )
+        cluster = torch.cat([self.cluster, torch.arange(k, count)])  # numbers of members: none is as large
+        return Spectrum(values, *vectors, cluster, (*self.fault, *[_NOT_RETAINED] * further))
 
     @classmethod
     def natural(cls, rest: Linearization, count: int | None = None) -> Spectrum:

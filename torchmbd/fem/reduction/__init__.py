@@ -1,12 +1,13 @@
 """Reduction of a flexible body: modes, their derivatives, inertia invariants. Knows matrices and nodes, no element."""
 
-from torchmbd.fem.reduction.basis import CutCluster, Matrix, ModalBasis, modal_basis
+from torchmbd.fem.reduction.basis import Matrix, ModalBasis, modal_basis
 from torchmbd.fem.reduction.branches import Branches, eigenpair_branches
 from torchmbd.fem.reduction.constraint_modes import constraint_modes
 from torchmbd.fem.reduction.craig_bampton import craig_bampton
+from torchmbd.fem.reduction.cut import CutCluster
 from torchmbd.fem.reduction.eigenpairs import Eigenpairs, eigenpairs
 from torchmbd.fem.reduction.invariants import inertia_invariants
-from torchmbd.fem.reduction.registry import REDUCTIONS, CraigBampton, Reduction, VibrationModes, with_whole_clusters
+from torchmbd.fem.reduction.registry import REDUCTIONS, CraigBampton, Reduction, VibrationModes
 from torchmbd.fem.reduction.spectral import eigenvalues, spectral_function
 from torchmbd.fem.reduction.static import StaticLoads
 
@@ -29,5 +30,4 @@ __all__ = [
     "inertia_invariants",
     "modal_basis",
     "spectral_function",
-    "with_whole_clusters",
 ]

@@ -8,7 +8,8 @@ Kr       reduced stiffness                         [..., n, n]
 
 Only the retained *subspace* enters a motion; transport.py derives the derivative that follows from this, and why
 eigenvalues may cross or repeat inside the retained set. The one gap that matters is the gap to the first discarded
-mode. A cluster of eigenvalues is therefore never cut there: the basis has n modes in each lane, or InputError is raised.
+mode. A cluster of eigenvalues is therefore never cut there: a lane has n modes, or up to `more` further ones by the rule of
+cut.py, or InputError is raised. Lanes with fewer modes than others are padded: zero columns of Psi, and zeros in Kr.
 
 The sign of a mode, which the eigenproblem leaves open:
 
@@ -40,11 +41,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.fem.reduction.dense import DenseModes
-from torchmbd.fem.reduction.forms import check, check_positive_diagonal, lane_name, recognize
+from torchmbd.fem.reduction.cut import cut_error, cut_modes
+from torchmbd.fem.reduction.forms import check, check_positive_diagonal, recognize
 from torchmbd.fem.reduction.operator_call import ModeDerivative
 from torchmbd.fem.reduction.shared_modes import shared_modes
-from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.fem.reduction.transport import Pencil, cotangent, tangent
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import SparseMatrix
@@ -52,21 +52,7 @@ from torchmbd.math.vmap import apply_as_lanes
 
 Matrix = Tensor | SparseMatrix
 CLUSTER = 1e-6
-ROUNDING = 16 * torch.finfo(torch.float64).eps  # error of an eigenvalue, relative to the largest K_ii / M_ii
 DECAY = 1.7  # of c, the rule of signs
-SMALL = 150  # freedoms; up to this number all modes by a dense method cost no more
-
-
-class CutCluster(InputError):
-    """n cuts a cluster of eigenvalues.
-
-    lanes   in which it does, leading dimensions flattened; the other lanes can be reduced
-    beyond  the least larger n that does not cut the cluster, as far as eigenvalues are known
-    """
-
-    def __init__(self, message: str, lanes: tuple[int, ...], beyond: int) -> None:
-        super().__init__(message)
-        self.lanes, self.beyond = lanes, beyond
 
 
 class ModalBasis(NamedTuple):
@@ -85,14 +71,17 @@ def signs(vectors: Tensor) -> Tensor:
 
 
 @checked_signature
-def modal_basis(K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated: bool = True) -> ModalBasis:
-    """Reduce to the n lowest modes.
+def modal_basis(
+    K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated: bool = True, more: int = 0
+) -> ModalBasis:
+    """Reduce to the n lowest modes, or a few more.
 
     K        dense [..., N, N] or SparseMatrix; leading lanes broadcast
     M        the same, or a vector [..., N], the diagonal of a lumped mass
     cluster  smallest accepted gap to the first discarded mode, relative to its eigenvalue
     updated  True: derivatives of the modes are part of all derivatives; False: modes are held fixed and only Kr has a
              derivative, Psi' dK Psi (eq. 36; for comparison, it is wrong in general)
+    more     further modes that a lane may retain, so that it is cut in a wide gap (cut.py); other lanes are padded with zeros
 
     Raises InputError: entries not finite, K or M not symmetric, M not positive definite, n out of range; CutCluster, an
     InputError that knows its lanes, where n cuts a cluster.
@@ -103,10 +92,10 @@ def modal_basis(K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated:
     (torch.Size([3, 2]), [0.5858, 2.0])
     """
     if not updated:
-        return fixed_modes(K, M, lambda K, M: modal_basis(K, M, n, cluster))
+        return fixed_modes(K, M, lambda K, M: modal_basis(K, M, n, cluster, more=more))
     pencil, K_values, M_values, lanes = parse_pencil(K, M, n)
-    vectors, stiffness = _Basis.apply(pencil, n, cluster, K_values, M_values)
-    return ModalBasis(vectors.reshape(*lanes, *vectors.shape[1:]), stiffness.reshape(*lanes, n, n))
+    vectors, stiffness = _Basis.apply(pencil, (n, more, cluster), K_values, M_values)
+    return ModalBasis(*(x.reshape(*lanes, *x.shape[1:]) for x in (vectors, stiffness)))
 
 
 def fixed_modes(K: Matrix, M: Matrix, reduce: Callable[[Matrix, Matrix], ModalBasis]) -> ModalBasis:
@@ -143,56 +132,29 @@ def parse_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, 
     return Pencil(K_form, M_form), flat_K, flat_M, lanes
 
 
-def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
-    """Return the n lowest eigenvalues [lane, n] and vectors [lane, N, n]; InputError for bad values or a cut cluster."""
+def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float, more: int = 0) -> tuple[Tensor, Tensor]:
+    """Return the eigenvalues [lane, m] and vectors [lane, N, m] that are retained; m is the largest number of a lane.
+
+    InputError for bad values, CutCluster for a cut cluster.
+    """
     check("K", pencil.K_form, K)
     check("M", pencil.M_form, M)
     check_positive_diagonal(pencil.M_form, M)
-    pencil.modes = modes = shared_modes(K, M, partial(_modes, pencil, n))
+    pencil.modes = modes = shared_modes(K, M, partial(cut_modes, pencil, n, more, cluster))
+    if not modes.counts.all():
+        raise cut_error(pencil, modes, n, more, cluster, K, M)
     values, vectors = modes.lowest()
-    _check_gap(values, n, cluster, rounding(pencil, K, M).maximum(ROUNDING * modes.shift.abs()))
-    return values[:, :n], vectors * signs(vectors)
-
-
-def rounding(pencil: Pencil, K: Tensor, M: Tensor) -> Tensor:
-    """Return the error of eigenvalues by rounding of K and M [...]."""
-    return ROUNDING * (pencil.K_form.diagonal(K).abs() / pencil.M_form.diagonal(M)).amax(-1)
-
-
-def _modes(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> DenseModes | SparseModes:
-    if pencil.K_form.size > max(SMALL, 12 * n):
-        modes = SparseModes(pencil.K_form, pencil.M_form, K, M, n)
-        if not modes.exhausted:
-            return modes
-    return DenseModes(pencil.K_form, pencil.M_form, K, M, n)
-
-
-def _check_gap(values: Tensor, n: int, cluster: float, rounding: Tensor) -> None:
-    """Refuse to cut a cluster between the last retained and the first discarded mode."""
-    apart = values.diff(dim=1) > torch.maximum(cluster * values[:, 1:].abs(), rounding[:, None])
-    if values.shape[1] == n or apart[:, n - 1].all():
-        return
-    cut = (~apart[:, n - 1]).nonzero().squeeze(-1).tolist()
-    lane = cut[0]
-    ends = (apart[lane].nonzero().squeeze(-1) + 1).tolist()  # the numbers of modes after which there is a gap
-    below, beyond = max((e for e in ends if e < n), default=0), next((e for e in ends if e > n), 0)
-    allowed = [f"n = {end}" for end in (below, beyond) if end]
-    also = f" (and of lanes {', '.join(map(str, cut[1:]))})" if len(cut) > 1 else ""
-    raise CutCluster(
-        f"n = {n} cuts a cluster{lane_name(lane, len(values))}{also}: eigenvalues {n} and {n + 1} are "
-        f"{values[lane, n - 1]:.10g} and {values[lane, n]:.10g}, closer than cluster = {cluster:g} relative; "
-        f"take {' or '.join(allowed) or 'more modes'}",
-        tuple(cut),
-        beyond or values.shape[1],
-    )
+    most = vectors.shape[2]
+    return torch.where(torch.arange(most) < modes.counts[:, None], values[:, :most], 0.0), vectors * signs(vectors)
 
 
 class _Basis(torch.autograd.Function):
-    """Psi [lane, N, n] and Kr [lane, n, n]; derivatives through transport.py."""
+    """Psi [lane, N, m] and Kr [lane, m, m]; derivatives through transport.py. `cut`: n, more, cluster."""
 
     @staticmethod
-    def forward(pencil: Pencil, n: int, cluster: float, K: Tensor, M: Tensor) -> tuple[Tensor, Tensor]:
-        values, vectors = solve(pencil, n, K, M, cluster)
+    def forward(pencil: Pencil, cut: tuple[int, int, float], K: Tensor, M: Tensor) -> tuple[Tensor, Tensor]:
+        n, more, cluster = cut
+        values, vectors = solve(pencil, n, K, M, cluster, more)
         return vectors, torch.diag_embed(values)
 
     @staticmethod
@@ -203,11 +165,11 @@ class _Basis(torch.autograd.Function):
         ctx.save_for_backward(*output)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, pencil: Pencil, n: int, cluster: float, K: Tensor, M: Tensor) -> tuple:
-        return apply_as_lanes(partial(_Basis.apply, pencil, n, cluster), info, in_dims[3:], K, M)
+    def vmap(info: Any, in_dims: tuple, pencil: Pencil, cut: tuple[int, int, float], K: Tensor, M: Tensor) -> tuple:
+        return apply_as_lanes(partial(_Basis.apply, pencil, cut), info, in_dims[2:], K, M)
 
     @staticmethod
-    def jvp(ctx: Any, _pencil: Any, _n: Any, _cluster: Any, dK: Tensor | None, dM: Tensor | None) -> Any:
+    def jvp(ctx: Any, _pencil: Any, _cut: Any, dK: Tensor | None, dM: Tensor | None) -> Any:
         vectors, stiffness = ctx.saved_tensors
         values = stiffness.diagonal(dim1=-2, dim2=-1)
         dK, dM = (None if d is None else d.unsqueeze(1) for d in (dK, dM))
@@ -222,4 +184,4 @@ class _Basis(torch.autograd.Function):
         H = torch.zeros_like(stiffness) if H is None else H
         directions = G.unsqueeze(1), H.unsqueeze(1)
         K_bar, M_bar = ModeDerivative.apply(partial(cotangent, ctx.pencil), 2, values, vectors, *directions)
-        return None, None, None, K_bar.squeeze(1), M_bar.squeeze(1)
+        return None, None, K_bar.squeeze(1), M_bar.squeeze(1)

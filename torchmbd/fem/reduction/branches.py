@@ -45,7 +45,8 @@ from torch import Tensor
 from torch.func import jvp
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.fem.reduction.basis import CLUSTER, Matrix, parse_pencil, rounding, signs, solve
+from torchmbd.fem.reduction.basis import CLUSTER, Matrix, parse_pencil, signs, solve
+from torchmbd.fem.reduction.cut import rounding
 from torchmbd.fem.reduction.eigenpairs import ModeSeparation, same_cluster
 from torchmbd.fem.reduction.forms import Dense, Diagonal
 from torchmbd.fem.reduction.transport import Pencil

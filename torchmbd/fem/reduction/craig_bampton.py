@@ -24,7 +24,7 @@ the interface, T' K T = diag(S, Lambda_o): no cancellation between the two famil
 dPsi = dT A + T dA has a part inside the span, the skew part of Psi' M dT A: it turns the basis in itself at a bounded
 rate, and the derivative of Kr turns with it. Responses depend on the span alone and do not change by that. Crossings among
 fixed-interface modes, among the modes of (1), or between both need no special case; a cluster of *fixed-interface*
-modes is not cut at n. Checked in tests/fem/reduction/test_craig_bampton.py, tests/sensitivity/test_eigen_craig_bampton.py.
+modes is not cut (cut.py). Checked in tests/fem/reduction/test_craig_bampton.py, tests/sensitivity/test_eigen_craig_bampton.py.
 
 Source: Craig and Bampton, AIAA J. 6 (1968) 1313-1319.
 """
@@ -51,12 +51,13 @@ def craig_bampton(
     interface: Sequence[int],
     cluster: float = CLUSTER,
     updated: bool = True,
+    more: int = 0,
 ) -> ModalBasis:
-    """Reduce to the interface freedoms and the n lowest fixed-interface modes: m = len(interface) + n modes.
+    """Reduce to the interface freedoms and the n lowest fixed-interface modes, or a few more.
 
-    K, M, cluster, updated   as for modal_basis
-    n                        number of fixed-interface modes; 0: static condensation
-    interface                rows of K, each once
+    K, M, cluster, updated, more   as for modal_basis
+    n                              number of fixed-interface modes; 0: static condensation
+    interface                      rows of K, each once
 
     Raises InputError as modal_basis does, when the interface is empty, and when K is singular with the interface held.
 
@@ -66,22 +67,43 @@ def craig_bampton(
     torch.Size([3, 3])
     """
     if not updated:
-        return fixed_modes(K, M, lambda K, M: craig_bampton(K, M, n, interface, cluster))
+        return fixed_modes(K, M, lambda K, M: craig_bampton(K, M, n, interface, cluster, more=more))
     T, stiffness = constraint_modes(K, M, interface)
     size = T.shape[-2]
     held = interface_freedoms(interface, size)
     if not is_whole(n) or not 0 <= n <= size - len(held):
         raise InputError(f"n = {n!r} fixed-interface modes; allowed: 0 ... {size - len(held)}, the interior freedoms")
     if n:
-        inner = modal_basis(interior(K, held, size), interior(M, held, size), n, cluster)
-        Phi = inner.vectors.new_zeros(*inner.vectors.shape[:-2], size, n)
+        inner = modal_basis(interior(K, held, size), interior(M, held, size), n, cluster, more=more)
+        width = inner.stiffness.shape[-1]
+        Phi = inner.vectors.new_zeros(*inner.vectors.shape[:-2], size, width)
         Phi = Phi.index_copy(-2, interior_freedoms(held, size), inner.vectors)
         T = torch.cat([T, Phi], -1)
         pad = torch.nn.functional.pad
-        stiffness = torch.cat([pad(stiffness, (0, n)), pad(inner.stiffness, (len(held), 0))], -2)
+        stiffness = torch.cat([pad(stiffness, (0, width)), pad(inner.stiffness, (len(held), 0))], -2)
     mass = T.mT @ _times(M, T)
-    small = modal_basis(stiffness, (mass + mass.mT) / 2, T.shape[-1])
+    mass = (mass + mass.mT) / 2
+    if T.shape[-1] > len(held) + n:  # lanes with fewer modes are padded
+        return _padded(T, stiffness, mass)
+    small = modal_basis(stiffness, mass, T.shape[-1])
     return ModalBasis(T @ small.vectors, small.stiffness)
+
+
+def _padded(T: Tensor, stiffness: Tensor, mass: Tensor) -> ModalBasis:
+    """The basis where columns of T may be padding, which is zero in the basis too.
+
+    Padding has unit mass and a frequency above all others, so that its modes are the last ones of the small problem, alone.
+    """
+    padding = (T.detach() == 0.0).all(-2)
+    unit = torch.diag_embed(padding.to(T.dtype))
+    highest = (
+        torch.linalg.solve(mass.detach() + unit, stiffness.detach()).diagonal(dim1=-2, dim2=-1).sum(-1)
+    )  # the trace is above
+    small = modal_basis(stiffness + 2.0 * highest[..., None, None] * unit, mass + unit, T.shape[-1])
+    kept = torch.arange(T.shape[-1]) < (~padding).sum(-1, keepdim=True)
+    vectors = torch.where(kept[..., None, :], small.vectors, 0.0)
+    both = kept[..., None, :] & kept[..., :, None]
+    return ModalBasis(T @ vectors, torch.where(both, small.stiffness, 0.0))
 
 
 def _times(M: Matrix, X: Tensor) -> Tensor:

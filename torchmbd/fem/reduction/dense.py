@@ -10,7 +10,8 @@ The deflated solve of the derivatives, (K - lambda_i M) z = f within the discard
 
     z = L^-T U_d diag(1 / (1 - (lambda_i - sigma) mu_d)) U_d' L^-1 f
 
-in which no small number is divided by a small one: only gaps to discarded modes appear.
+in which no small number is divided by a small one: only gaps to discarded modes appear. A lane may retain fewer modes than
+others (cut.py): its further vectors are zero.
 Works on [lane, ...] tensors, no autograd inside. Checked in tests/fem/reduction and tests/sensitivity.
 """
 
@@ -27,6 +28,8 @@ from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, loses_d
 class DenseModes:
     """Modes of a batch of problems [lane, N, N], with the factors for deflated solves."""
 
+    complete = True  # all eigenvalues are known
+
     def __init__(self, K_form: Form, M_form: Form, K: Tensor, M: Tensor, n: int) -> None:
         K_dense, M_dense = K_form.dense(K), M_form.dense(M)
 
@@ -34,11 +37,11 @@ class DenseModes:
             return self._factor(K_dense, M_dense, shift)
 
         check_positive_definite(M_dense)
-        self.n = n
+        self.n, self.counts = n, torch.full((len(K),), n)
         self.shift, self.L = choose_shift(K_form.diagonal(K), M_form.diagonal(M), factorize)
         self._decompose(M_dense)
         if (near := loses_digits(self.shift, self.mu[:, : n + 1])).any():
-            self.shift = comparable_shift(near, self.shift, self._values(n + 1))
+            self.shift = comparable_shift(near, self.shift, self.eigenvalues()[:, : n + 1])
             self.L, _ = factorize(self.shift)
             self._decompose(M_dense)
 
@@ -48,8 +51,17 @@ class DenseModes:
         mu, U = torch.linalg.eigh((C + C.mT) / 2)
         self.mu, self.U = mu.flip(-1), U.flip(-1)
 
-    def _values(self, count: int) -> Tensor:
-        return self.shift[:, None] + 1 / self.mu[:, :count]
+    def retain(self, counts: Tensor) -> None:
+        """Retain so many of the lowest modes of each lane [lane]."""
+        self.n, self.counts = int(counts.max()), counts
+
+    def _retained(self) -> Tensor:
+        """Which of the modes 1 ... n each lane retains [lane, 1, n]."""
+        return (torch.arange(self.n) < self.counts[:, None])[:, None]
+
+    def eigenvalues(self) -> Tensor:
+        """All of them [lane, N]."""
+        return self.shift[:, None] + 1 / self.mu
 
     @staticmethod
     def _factor(K: Tensor, M: Tensor, shift: Tensor) -> tuple[Tensor, Tensor]:
@@ -64,15 +76,16 @@ class DenseModes:
         """All eigenvalues [lane, N], and the vectors [lane, N, n] of the lowest."""
         n = self.n
         vectors = torch.linalg.solve_triangular(self.L.mT, self.U[..., :n], upper=True) / self.mu[:, None, :n].sqrt()
-        return self._values(self.mu.shape[1]), vectors
+        return self.eigenvalues(), torch.where(self._retained(), vectors, 0.0)
 
     def deflated_solve(self, F: Tensor) -> Tensor:
         """Solve (K - lambda_i M) z_i = f_i within the discarded modes; F, Z [lane, N, T, n]."""
         lanes, size, count, n = F.shape
-        U, mu = self.U[..., n:], self.mu[:, n:, None]
+        first = int(self.counts.min())
+        U, mu = self.U[..., first:], self.mu[:, first:, None]
         half = U.mT @ torch.linalg.solve_triangular(self.L, F.flatten(2), upper=False)
-        offset = 1 / self.mu[:, None, :n]
-        weight = 1 / (1 - offset * mu)
+        pair = self._retained() & (torch.arange(first, size)[:, None] >= self.counts[:, None, None])
+        weight = torch.where(pair, 1 / (1 - torch.where(pair, mu / self.mu[:, None, :n], 0.0)), 0.0)
         weighted = half.unflatten(-1, (count, n)) * weight[:, :, None, :]
         Z = torch.linalg.solve_triangular(self.L.mT, U @ weighted.flatten(2), upper=True)
         return Z.reshape(lanes, size, count, n)

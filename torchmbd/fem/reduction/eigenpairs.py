@@ -66,7 +66,8 @@ from torch.autograd.forward_ad import unpack_dual
 from torch.func import debug_unwrap
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.fem.reduction.basis import CLUSTER, ROUNDING, modal_basis, parse_pencil, rounding
+from torchmbd.fem.reduction.basis import CLUSTER, modal_basis, parse_pencil
+from torchmbd.fem.reduction.cut import ROUNDING, rounding
 from torchmbd.fem.reduction.forms import Diagonal, Form, Sparse
 from torchmbd.fem.reduction.spectral import chained
 from torchmbd.fem.reduction.transport import Pencil

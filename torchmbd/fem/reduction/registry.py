@@ -1,8 +1,10 @@
 """The reductions of flexible bodies by name.
 
     name               span                                                                          modes
-    "vibration"        the n lowest modes of the body fixed at its reference (basis.py)              n
-    "craig-bampton"    constraint modes of interface freedoms, n fixed-interface modes               i + n
+    "vibration"        the m lowest modes of the body fixed at its reference (basis.py)              m
+    "craig-bampton"    constraint modes of interface freedoms, m fixed-interface modes               i + m
+
+m is the number n that was requested, or up to MORE more: each design is cut in a wide gap (cut.py).
 
 A reduction maps K and M of the free freedoms to a basis that is orthonormal in M and a full reduced stiffness, with exact
 derivatives. `updated=False` holds the basis fixed while the stiffness is differentiated (eq. 36): the fixed-mode approach
@@ -13,32 +15,27 @@ Checked in tests/fem/reduction/test_craig_bampton.py, tests/sensitivity/test_eig
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
-import torch
-
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction.basis import CutCluster, Matrix, ModalBasis, modal_basis
+from torchmbd.fem.reduction.basis import Matrix, ModalBasis, modal_basis
 from torchmbd.fem.reduction.craig_bampton import craig_bampton
+
+MORE = 4  # modes that meet: bending in two planes, torsion and extension, and one of the next
 
 
 class Reduction(Protocol):
     """A reduction of a flexible body."""
 
-    @property
-    def size(self) -> int:
-        """Number of modal coordinates."""
-        ...
-
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
-        """Basis [..., N, size] and reduced stiffness [..., size, size]."""
+        """Basis [..., N, m] and reduced stiffness [..., m, m]; m of the design that retains most, others are padded."""
         ...
 
 
 @dataclass(frozen=True)
 class VibrationModes:
-    """The n lowest modes; see the module header."""
+    """The lowest modes, at least n; see the module header."""
 
     n: int
     interface: Sequence[int] = ()
@@ -48,17 +45,13 @@ class VibrationModes:
         if self.interface:
             raise InputError("interface is given; allowed: none with reduction 'vibration'")
 
-    @property
-    def size(self) -> int:
-        return self.n
-
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
-        return modal_basis(K, M, self.n, updated=self.updated)
+        return modal_basis(K, M, self.n, updated=self.updated, more=MORE)
 
 
 @dataclass(frozen=True)
 class CraigBampton:
-    """Interface freedoms and the n lowest fixed-interface modes; see the module header."""
+    """Interface freedoms and the lowest fixed-interface modes, at least n; see the module header."""
 
     n: int
     interface: Sequence[int] = ()
@@ -68,26 +61,8 @@ class CraigBampton:
         if not self.interface:
             raise InputError("interface is empty; allowed: at least one node with reduction 'craig-bampton'")
 
-    @property
-    def size(self) -> int:
-        return len(self.interface) + self.n
-
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
-        return craig_bampton(K, M, self.n, self.interface, updated=self.updated)
-
-
-def with_whole_clusters(
-    reduction: VibrationModes | CraigBampton, K: Matrix, M: Matrix
-) -> VibrationModes | CraigBampton:
-    """Return the reduction with the least number of additional modes that cuts no cluster of equal frequencies of K and M."""
-    with torch.no_grad():
-        while True:
-            try:
-                reduction(K, M)
-            except CutCluster as error:
-                reduction = replace(reduction, n=error.beyond)
-            else:
-                return reduction
+        return craig_bampton(K, M, self.n, self.interface, updated=self.updated, more=MORE)
 
 
 REDUCTIONS: dict[str, type[VibrationModes] | type[CraigBampton]] = {

@@ -7,23 +7,12 @@ Checked in tests/fem/reduction/test_shared_modes.py.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction.transport import DeflatedSolver
-
-
-class Modes(DeflatedSolver, Protocol):
-    """The modes of a solved eigenproblem too, as DenseModes and SparseModes."""
-
-    shift: Tensor
-
-    def lowest(self) -> tuple[Tensor, Tensor]:
-        """Eigenvalues [lane, more than n] and vectors [lane, N, n]."""
-        ...
+from torchmbd.fem.reduction.cut import Modes
 
 
 def shared_modes(K: Tensor, M: Tensor, solve: Callable[[Tensor, Tensor], Modes]) -> Modes:
@@ -56,7 +45,7 @@ class SharedModes(Modes):
 
     def __init__(self, modes: Modes, index: Tensor) -> None:
         self.modes, self.index = modes, index
-        self.shift = modes.shift[index]
+        self.shift, self.counts = modes.shift[index], modes.counts[index]
         same = index[:, None] == index
         self._place = same.tril(-1).sum(1)  # among the lanes of the same matrices
 

@@ -11,6 +11,7 @@ G'^-1 y,
 
 Its eigenvalues 1 - mu_j / mu_i lie in (0, 1] for the discarded modes j > n and crowd at 1: conjugate gradients
 converge in a few steps. They start from the solution in the discarded modes whose Ritz pairs have nearly converged.
+A lane may retain fewer modes than others (cut.py): its further vectors are zero.
 All directions and all modes are columns of the same products with the same H.
 Works on [lane, ...] tensors, no autograd inside. Checked in tests/fem/reduction/test_sparse_modes.py.
 """
@@ -39,6 +40,8 @@ NO_CONVERGENCE = f"derivatives of modes did not converge in {MOST_STEPS} steps; 
 class SparseModes:
     """Modes of a batch of problems on one pattern. `exhausted` when the Krylov space grew too large: use DenseModes."""
 
+    complete = False  # some eigenvalues are known
+
     def __init__(self, K_form: Form, M_form: Form, K: Tensor, M: Tensor, n: int) -> None:
         self.n, self.layout = n, partition(K_form, M_form)
         self.root = mass_root(self.layout, M_form, M)
@@ -59,8 +62,18 @@ class SparseModes:
         self.exhausted = ritz is None
         if ritz is not None:
             known = int((ritz.residuals() < KNOWN).sum(1).min())
-            vectors = ritz.Q @ ritz.V[..., : max(known, n + 1)]
-            self.ritz, self.U, self.known = ritz, vectors[..., :n], vectors[..., n:]
+            self.ritz, self._vectors = ritz, ritz.Q @ ritz.V[..., : max(known, n + 1)]
+            self.retain(torch.full((len(K),), n))
+
+    def retain(self, counts: Tensor) -> None:
+        """Retain so many of the lowest modes of each lane [lane], at most as many as were solved for."""
+        n, first, U = int(counts.max()), int(counts.min()), self._vectors
+        self.n, self.first, self.counts = n, first, counts
+        retained = (torch.arange(U.shape[2]) < counts[:, None])[:, None]
+        self.retained, self.discarded = retained[..., :n], ~retained[..., first:]
+        self.U, self.known = U[..., :n], U[..., first:]
+        if first < n:
+            self.U, self.known = torch.where(self.retained, self.U, 0.0), torch.where(self.discarded, self.known, 0.0)
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
         return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self._extend)
@@ -76,15 +89,21 @@ class SparseModes:
     def _apply(self, X: Tensor) -> Tensor:
         return self.root.upper(self.factor.solve(self.root.lower(X)))
 
+    def eigenvalues(self) -> Tensor:
+        """The lowest eigenvalues [lane, more than were solved for], those after the next one roughly."""
+        return self.shift[:, None] + 1 / self.ritz.mu[:, : self._vectors.shape[2]]
+
     def lowest(self) -> tuple[Tensor, Tensor]:
-        """Eigenvalues [lane, more than n], those after n + 1 roughly, and the vectors [lane, N, n] of the lowest."""
-        values = self.shift[:, None] + 1 / self.ritz.mu[:, : self.n + self.known.shape[2]]
-        return values, self.root.upper_inverse(self.U)[:, self.layout.inverse]
+        """Eigenvalues, and the vectors [lane, N, n] of the lowest."""
+        return self.eigenvalues(), self.root.upper_inverse(self.U)[:, self.layout.inverse]
 
     def deflated_solve(self, F: Tensor) -> Tensor:
         """Solve (K - lambda_i M) z_i = f_i within the discarded modes; F, Z [lane, N, T, n]."""
         columns = F[:, self.layout.order].flatten(2)
         inverse_mu = (1 / self.ritz.mu[:, None, : self.n]).repeat(1, 1, F.shape[2])
+        if self.first < self.n:
+            retained = self.retained.repeat(1, 1, F.shape[2])
+            inverse_mu, columns = torch.where(retained, inverse_mu, 0.0), torch.where(retained, columns, 0.0)
         Y = self._conjugate_gradients(self.root.upper(self.factor.solve(columns)), inverse_mu)
         return self.root.upper_inverse(Y)[:, self.layout.inverse].unflatten(2, F.shape[2:])
 
@@ -95,9 +114,9 @@ class SparseModes:
     def _known_solution(self, c: Tensor, inverse_mu: Tensor) -> tuple[Tensor, Tensor]:
         """Return the Galerkin solution in the discarded modes whose Ritz pairs are known, and its residual."""
         ritz, W, p = self.ritz, self.known, self.ritz.R.shape[-1]
-        here = slice(self.n, self.n + W.shape[2])
+        here = slice(self.first, self.first + W.shape[2])
         inside = W.mT @ c
-        solution = inside / (1 - inverse_mu * ritz.mu[:, here, None])
+        solution = inside / (1 - torch.where(self.discarded.mT, inverse_mu * ritz.mu[:, here, None], 0.0))
         residual = torch.baddbmm(c, W, inside, alpha=-1)
         residual.addcmul_(inverse_mu, ritz.X @ (ritz.R @ (ritz.V[:, -p:, here] @ solution)))
         return W @ solution, residual

@@ -135,8 +135,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.free = self.assembly.freedoms.free
         self._rotations = FittedRotations.of(self.assembly)
         self.interfaces = interfaces.frames
-        self.reduction = reduced(name, self.assembly, reduction, modes, interfaces.kept, self.reference, updated)
-        self.modes = self.reduction.size
+        kept = interfaces.kept
+        self.reduction, self.modes = reduced(name, self.assembly, reduction, modes, kept, self.reference, updated)
         stiffens = true_or_false(f"stiffening of {name!r}", stiffening)
         self.stiffening = Stiffening(name, self.assembly) if stiffens else None
         self.damping = ModalDamping(name, damping)
@@ -153,6 +153,12 @@ class FlexibleBody(MatrixMethods, nn.Module):
                 if hasattr(self, name):
                     raise InputError(f"part {name!r} of {self.name!r} has a name that is taken; allowed: any other")
                 self.add_module(name, module)
+
+    @property
+    def fewest_modes(self) -> int:
+        """Number of modes that every design retains at least; `modes` is that of the first design."""
+        reduction = getattr(self.given_structure, "reduction", None) or getattr(self, "reduction", None)
+        return self.modes if reduction is None else reduction.n + len(reduction.interface)
 
     @property
     def plates(self) -> dict[str, Plates]:
@@ -194,8 +200,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
         mesh            triangles or quadrilaterals
         laminate        its `angles` [rad] are parameters of the body
-        modes           number of vibration modes of the body fixed at its reference nodes (and its interface); a few more are
-                        retained where others have the frequency of the last, as bending of a tube in two directions
+        modes           least number of vibration modes of the body fixed at its reference nodes (and its interface). A design
+                        retains up to four more where others have nearly the frequency of the last, as bending of a tube in two
+                        directions; `body.modes` is the number of the first design
         position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); the joints correct both
         reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]; mbd.variable(...): "rod.damping.time"

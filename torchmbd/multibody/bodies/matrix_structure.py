@@ -23,7 +23,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, true_or_false, unknown, warn
-from torchmbd.fem.reduction import REDUCTIONS, CutCluster, Reduction, modal_basis, with_whole_clusters
+from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, CutCluster, VibrationModes, modal_basis
 from torchmbd.fem.reduction.mass_invariants import has_isotropic_inertia, mass_invariants, rigid_motions
 from torchmbd.math.checked_numbers import is_whole, reals
 from torchmbd.math.sparse import SparseMatrix
@@ -88,7 +88,7 @@ class MatrixStructure:
         M, K = self.matrices.now()
         return K.restrict(self.free), M.restrict(self.free)
 
-    def keep(self, reduction: Reduction) -> None:
+    def keep(self, reduction: VibrationModes | CraigBampton) -> None:
         """Have another reduction of the free freedoms."""
         self.reduction = reduction
         with torch.no_grad():
@@ -156,15 +156,13 @@ class MatrixStructure:
                     f"{freedom(int(bad[0]))} ({len(bad)} freedoms are so); allowed: mass and stiffness at every freedom"
                 )
         try:
-            reduction: Reduction = with_whole_clusters(
-                REDUCTIONS[kind](int(modes), tuple(rows), updated), K.restrict(self.free), M.restrict(self.free)
-            )
+            reduction = REDUCTIONS[kind](int(modes), tuple(rows), updated)
+            lowest = torch.linalg.eigvalsh(reduction(K.restrict(self.free), M.restrict(self.free)).stiffness)
         except InputError as error:
             raise InputError(
                 f"reduction of {self.name!r} (rows of its {len(self.free)} free freedoms): {error}"
             ) from None
         self.reduction = reduction
-        lowest = torch.linalg.eigvalsh(reduction(K.restrict(self.free), M.restrict(self.free)).stiffness)
         scale = float((_diagonal(K)[self.free] / _diagonal(M)[self.free]).max())
         if not float(lowest[0]) > 1e-12 * scale:
             raise InputError(

@@ -30,6 +30,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.fem.reduction.padding import with_stiff_padding
 from torchmbd.math.checked_numbers import parameter, scalar
 from torchmbd.math.variable import is_variable, number, stacked
 
@@ -113,7 +114,7 @@ class ModalDamping(nn.Module):
         if z is None:
             return D
         fixed = Kr.detach()
-        values, V = torch.linalg.eigh(fixed)
+        values, V = torch.linalg.eigh(with_stiff_padding(fixed))
         om = values.clamp_min(0.0).sqrt()
         sums, gaps = om[..., :, None] + om[..., None, :], om[..., :, None] - om[..., None, :]
         differences = z[..., :, None] - z[..., None, :]

@@ -1,7 +1,7 @@
-"""The reduction of a body to modes, chosen once for the first design.
+"""The reduction of a body to modes, checked with the first design.
 
 Modes of equal frequencies are retained together: bending of a tube in two directions is such a pair, and one mode of a pair has
-no derivative alone (fem/reduction/transport.py). So more modes than requested may be retained, the same number for all designs.
+no derivative alone (fem/reduction/transport.py). So a design may retain a few more modes than requested (fem/reduction/cut.py).
 Checked in tests/multibody/bodies/test_flexible.py, tests/multibody/bodies/test_beam_body.py.
 """
 
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, true_or_false, unknown
 from torchmbd.fem.elements import Assembly, MassPoints
-from torchmbd.fem.reduction import REDUCTIONS, Matrix, Reduction, with_whole_clusters
+from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, Matrix, VibrationModes
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
@@ -47,8 +47,9 @@ def reduced(
     interface: Sequence[int],
     reference: Sequence[int],
     updated: bool,
-) -> Reduction:
-    """The reduction of a kind to `modes` modes, or a few more; arguments as of `FlexibleBody.plate`.
+) -> tuple[VibrationModes | CraigBampton, int]:
+    """The reduction of a kind to `modes` modes, or a few more, and the number of the first design; arguments as of
+    `FlexibleBody.plate`.
 
     Raises InputError for a kind that does not exist, a number of modes that the mesh does not have, and interface nodes
     that are references or come twice.
@@ -63,7 +64,9 @@ def reduced(
     if kind not in REDUCTIONS:
         raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
     try:
-        return with_whole_clusters(REDUCTIONS[kind](int(modes), held, updated), *matrices(assembly))
+        reduction = REDUCTIONS[kind](int(modes), held, updated)
+        with torch.no_grad():
+            return reduction, reduction(*matrices(assembly)).stiffness.shape[-1]
     except InputError as error:
         raise InputError(f"reduction of {name!r}: {_without_mass(assembly) or error}") from None
 

@@ -1,6 +1,6 @@
 """A flexible body with more vibration modes, or on a finer mesh, to see what its modes and its mesh leave out.
 
-    n' = max(n + 2, 3 n / 2)     modes, and whole clusters of equal frequencies; at most as many as the mesh has
+    n' = max(n + 2, 3 n / 2)     modes at least; at most as many as the mesh has. n: modes that a design retains
 
 The interface of Craig-Bampton stays as it is. The span of the modes contains the one before.
 The finer mesh has twice as many cells in each direction: plates and straight beams, of the same modes, on the same flat cells
@@ -22,7 +22,6 @@ from torchmbd.fem.elements import BeamLine, Beams, Plates
 from torchmbd.fem.elements.beam_line import Straight, varying_nodes
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.mesh.refinement import Middles, refined
-from torchmbd.fem.reduction import with_whole_clusters
 from torchmbd.multibody.bodies.frame import set_modal_start
 from torchmbd.multibody.bodies.interfaces import Interface
 from torchmbd.multibody.bodies.interpolation import node_indices
@@ -38,8 +37,9 @@ def has_reduction(body: Any) -> bool:
     return hasattr(body if body.given_structure is None else body.given_structure, "reduction")
 
 
-def enrich(body: Any) -> bool:
-    """Give a flexible body that has a reduction more modes; False: it has all modes of its mesh, and nothing was changed.
+def enrich(body: Any, modes: int) -> bool:
+    """Give a flexible body of so many modes that has a reduction more; False: it has all modes of its mesh, and nothing was
+    changed.
 
     Its modal start is zero afterwards. Damping ratios of the further modes are that of the last one.
     """
@@ -47,15 +47,16 @@ def enrich(body: Any) -> bool:
     with torch.no_grad():
         K, M = matrices(body.assembly) if structure is None else structure.pencil()
         before = body.reduction if structure is None else structure.reduction
-        n = min(max(before.n + LEAST, math.ceil(MORE * before.n)), K.size - len(before.interface))
-        if n <= before.n:
+        kept, most = modes - len(before.interface), K.size - len(before.interface)
+        n = min(max(kept + LEAST, math.ceil(MORE * kept)), most)
+        if n <= kept:
             return False
-        reduction = with_whole_clusters(replace(before, n=n), K, M)
-    if structure is None:
-        body.reduction = reduction
-    else:
-        structure.keep(reduction)
-    body.modes = reduction.size
+        reduction = replace(before, n=n)
+        if structure is None:
+            body.reduction = reduction
+        else:
+            structure.keep(reduction)
+        body.modes = reduction(K, M).stiffness.shape[-1]
     set_modal_start(body, None, None)
     return True
 

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
-from torchmbd.fem.reduction import Matrix, VibrationModes, eigenvalues, with_whole_clusters
+from torchmbd.fem.reduction import CutCluster, Matrix, ModalBasis, eigenvalues, modal_basis
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true
 from torchmbd.math.module_call import outside_transforms
@@ -101,7 +101,7 @@ class VibrationCase:
             raise InputError(f"number is {number!r}; allowed: {allowed}")
         K, M = self._matrices()
         first, end = self.rigid, self.rigid + int(number)
-        basis = with_whole_clusters(VibrationModes(end), K, M)(K, M)
+        basis = _whole_clusters(K, M, end)
         squares = eigenvalues(basis.stiffness)[..., first:end]
         vectors = basis.vectors.detach()[..., first:end]
         terms = (vectors.abs() * (_sizes(K) @ vectors.abs())).sum(-2)
@@ -117,6 +117,15 @@ class VibrationCase:
             return self.supported.restricted(K), M[..., self.supported.kept]
         values = M.values[..., self._mass_positions]
         return self.supported.restricted(K), SparseMatrix(self._mass_pattern, values, M.symmetric)
+
+
+def _whole_clusters(K: SparseMatrix, M: Matrix, n: int) -> ModalBasis:
+    """The n lowest modes, and the further ones of a cluster in any lane: frequencies that are equal share their derivatives."""
+    while True:
+        try:
+            return modal_basis(K, M, n)
+        except CutCluster as error:
+            n = error.beyond
 
 
 def _sizes(K: SparseMatrix) -> SparseMatrix:

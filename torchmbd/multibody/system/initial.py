@@ -36,7 +36,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
-from torchmbd.math.gradients import untransformed, wraps
+from torchmbd.math.gradients import all_true, untransformed, wraps
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, apply, cat, linear, value
 from torchmbd.math.rotation import euler_parameters
@@ -70,12 +70,25 @@ def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
         return torch.cat(wide, 1).T[:, None]
 
     def modal(name: str) -> list[Tensor]:
-        parts = (getattr(b, name) for b in bodies[: T.flexible])
-        return [torch.nn.functional.pad(x, (0, T.modes - x.shape[-1])) for x in parts]
+        pairs = zip(bodies, T.mode_counts, strict=False)  # flexible bodies are the first
+        return [of_modes(f"{b.name}.{name}", getattr(b, name), count, T.modes) for b, count in pairs]
 
     q = rows([b.position for b in bodies], [euler_parameters(b.axes) for b in bodies], modal("modal"))
     v = rows([b.velocity for b in bodies], [b.angular_velocity for b in bodies], modal("modal_velocity"))
     return {"q0": q, "v0": v}
+
+
+def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
+    """Modal coordinates or rates x [..., k] of `count` modes, padded to [..., modes].
+
+    Raises InputError where they move modes beyond these: the first design has more than others.
+    """
+    if not all_true(x[..., count:] == 0.0):
+        raise InputError(
+            f"start: {name!r} = {untransformed(x).tolist()}: must be zero for mode {count + 1} and the following, as a design "
+            f"retains {count} modes"
+        )
+    return torch.nn.functional.pad(x[..., :count], (0, modes - min(count, x.shape[-1])))
 
 
 @dataclass(frozen=True, eq=False)

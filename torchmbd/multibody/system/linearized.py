@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import DesignFailure
+from torchmbd.fem.reduction.padding import is_padding
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.rank import RELATIVE
@@ -45,7 +46,7 @@ class Linearization:
     forces [n_v], phi [rows]   residual without constraint forces; violations of constraints
     K, C, M [n_v, n_v]         stiffness and damping, both with the forces of the multipliers, and mass; C and M on demand
     Phi_q [rows, n_v], lam [rows]
-    active                     rows of v but those that pad the modes of bodies with fewer modes than others
+    active                     rows of v but those that pad the modes of bodies and designs with fewer modes than others
     N [active, freedoms]       null space of the active columns of Phi_q
     along                      C by "rates", M by "accelerations"
     rotates                    whether the state rotates steadily
@@ -126,14 +127,14 @@ class Linearization:
             violation = equations.constraints(T, moved)
             phi, Phi_q = violation.value[:, 0], [coupling.matrix(x, True) for x in _tangents(violation)]
             phi = phi if offset is None else phi - offset[1][:, None]
-        active = unpadded_rates(T)
+        active = unpadded_rates(T, data, lanes)
         balanced = forces
         if unstrained is not None:
             data = data | {"beam_rest": unstrained}
             balanced = residual(at, rates, none)[:, 0]
             balanced = balanced if subtracted is None else balanced - subtracted.value[:, 0]
-        constrained = zip(Phi_q, balanced.unbind(-1), strict=True)
-        lam = torch.stack([-torch.linalg.pinv(J[:, active].T, rtol=RELATIVE) @ f[active] for J, f in constrained], -1)
+        constrained = zip(active, Phi_q, balanced.unbind(-1), strict=True)
+        lam = torch.stack([-torch.linalg.pinv(J[:, a].T, rtol=RELATIVE) @ f[a] for a, J, f in constrained], -1)
         force = residual(moved, rates_moved, lam[:, None])
         stiffness = _tangents(force if subtracted is None else force - subtracted)
 
@@ -148,10 +149,10 @@ class Linearization:
 
         spin = observer.spin if isinstance(observer, SteadyRotation) else still[:3]
         rotates = spin.expand(-1, -1, lanes).any(0)[0]
-        parts = zip(forces.unbind(-1), phi.unbind(-1), stiffness, Phi_q, lam.unbind(-1), strict=True)
+        parts = zip(forces.unbind(-1), phi.unbind(-1), stiffness, Phi_q, lam.unbind(-1), active, strict=True)
         return [
-            cls(f, p, coupling.matrix(K), J, x, active, null_space(J[:, active]), of_lane(i), bool(rotates[i]))
-            for i, (f, p, K, J, x) in enumerate(parts)
+            cls(f, p, coupling.matrix(K), J, x, a, null_space(J[:, a]), of_lane(i), bool(rotates[i]))
+            for i, (f, p, K, J, x, a) in enumerate(parts)
         ]
 
     @classmethod
@@ -339,10 +340,14 @@ def _in_body_axes(T: Topology, at: Any, forces: Tensor) -> Any:
     return cat([forces[: 3 * n, None, None], torques, forces[6 * n :, None, None]])
 
 
-def unpadded_rates(T: Topology) -> Tensor:
-    """Rows of v but those that pad the modes of bodies with fewer modes than others."""
-    modal = [row - T.bodies for body in range(T.flexible) for row in T.w_slice(body)]
-    return torch.tensor([*range(6 * T.bodies), *sorted(modal)], dtype=torch.long)
+def unpadded_rates(T: Topology, data: equations.Data, lanes: int) -> list[Tensor]:
+    """Rows of v of each lane but those that pad the modes of bodies and designs with fewer modes than others."""
+    rigid = torch.arange(6 * T.bodies)
+    if not T.flexible:
+        return [rigid] * lanes
+    Kr = value(data["Kr"])[:, :, :, 0].permute(3, 2, 0, 1)  # [lanes, bodies, m, m]
+    retained = (~is_padding(Kr)).mT.flatten(1).expand(lanes, -1)
+    return [torch.cat([rigid, len(rigid) + row.nonzero()[:, 0]]) for row in retained]
 
 
 def null_space(J: Tensor) -> Tensor:

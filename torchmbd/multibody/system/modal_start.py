@@ -22,9 +22,11 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER
+from torchmbd.fem.reduction.padding import is_padding, with_stiff_padding
 from torchmbd.fem.reduction.spectral import chained
 from torchmbd.math.gradients import all_true, is_differentiated
 from torchmbd.multibody.system.initial import START_DATA
+from torchmbd.multibody.system.modal_data import pad
 from torchmbd.multibody.system.topology import Topology
 
 
@@ -39,12 +41,15 @@ def in_moving_basis(
     """
     q, v = (start[name] for name in START_DATA)
     for i, (name, Kr) in enumerate(stiffness.items()):
+        m, rows = Kr.shape[-1], T.w_slice(i)
+        rate_rows = [row - T.bodies for row in rows]
+        for x in (q[rows], v[rate_rows]):
+            _refuse_padding(name, Kr, x[:, 0].mT)
         if not is_differentiated(Kr):
             continue
-        m, rows = Kr.shape[-1], T.w_slice(i)
-        origin = None if before is None else before[:m, :m, i, 0].movedim(-1, 0)
+        origin = None if before is None else pad(before[:m, :m, i, 0], m, (0, 1)).movedim(-1, 0)
         q = _turned(name, Kr, origin, q, rows)
-        v = _turned(name, Kr, origin, v, [row - T.bodies for row in rows])
+        v = _turned(name, Kr, origin, v, rate_rows)
     return dict(zip(START_DATA, (q, v), strict=True))
 
 
@@ -52,7 +57,7 @@ def _turned(name: str, Kr: Tensor, origin: Tensor | None, x: Tensor, rows: list[
     """x [n, 1, lanes] with the derivatives of some rows by Kr [..., m, m], relative to those by `origin` [lanes, m, m]."""
     index = torch.tensor(rows)
     w = x[index, 0].mT  # [lanes, m]
-    values = Kr.diagonal(dim1=-2, dim2=-1).detach()
+    values = with_stiff_padding(Kr).diagonal(dim1=-2, dim2=-1).detach()
     same = chained(values, CLUSTER * values[..., 1:].abs())
     if origin is None or not is_differentiated(origin):
         _refuse_turned(name, same, w)
@@ -62,6 +67,15 @@ def _turned(name: str, Kr: Tensor, origin: Tensor | None, x: Tensor, rows: list[
     turned = w + (turn @ w[..., None]).squeeze(-1)
     lanes = turned.shape[0]
     return x.expand(*x.shape[:-1], lanes).index_copy(0, index, turned.mT[:, None])
+
+
+def _refuse_padding(name: str, Kr: Tensor, w: Tensor) -> None:
+    """InputError where coordinates w [lanes, m] belong to modes that a design does not retain."""
+    if not all_true(~is_padding(Kr) | (w == 0.0)):
+        raise InputError(
+            f"{name!r} starts with modal coordinates or rates of more modes than a design retains; allowed: zeros for modes "
+            "beyond the number that was requested"
+        )
 
 
 def _refuse_turned(name: str, same: Tensor, w: Tensor) -> None:

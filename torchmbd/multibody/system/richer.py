@@ -7,18 +7,20 @@ Checked in tests/multibody/system/test_richer.py.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from torchmbd.multibody.bodies.refinement import enrich, has_reduction, obstacle, refine
 
 
-def richer_system(system: Any) -> tuple[Any, list[str]]:
+def richer_system(system: Any, modes: Mapping[str, int] | None = None) -> tuple[Any, list[str]]:
     """A copy of a system whose flexible bodies have more modes, and the names of those that do.
 
     Bodies whose modes were given, and those that have all modes of their mesh, are as before.
+    modes   number that each body has, by name, largest of several designs; default: those of the first design
     """
-    return _changed(system, lambda body: has_reduction(body) and enrich(body))
+    counts = modes or {}
+    return _changed(system, lambda body: has_reduction(body) and enrich(body, counts.get(body.name, body.modes)))
 
 
 def finer_mesh_system(system: Any) -> tuple[Any, list[str]]:

@@ -21,11 +21,13 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.fem.reduction.registry import MORE
 from torchmbd.math.gradients import all_true, is_differentiated, refuse_derivatives, untransformed
 from torchmbd.math.rotation import euler_parameters
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES
 from torchmbd.multibody.system.equilibrium import equilibrium_coordinates, find_equilibria
-from torchmbd.multibody.system.initial import START_DATA, InitialConditions
+from torchmbd.multibody.system.initial import START_DATA, InitialConditions, of_modes
+from torchmbd.multibody.system.modal_data import pad
 from torchmbd.multibody.system.topology import Topology
 
 STARTS = ("assembled", "equilibrium")
@@ -67,6 +69,7 @@ class Start:
     in_equilibrium   whether it is the static equilibrium
     numbers          "body.quantity" -> numbers [...] or [lanes, ...]
     state            q [lanes, n_q] and v [lanes, n_v] of the whole system, or None
+    topology         of this state
     stiffness        Kr [modes, modes, bodies, 1, lanes] of the designs of this state, in whose modes its coordinates are
     is_guess         whether a search begins there, whose result does not depend on it
     """
@@ -74,6 +77,7 @@ class Start:
     in_equilibrium: bool = False
     numbers: Mapping[str, Tensor] = field(default_factory=dict)
     state: tuple[Tensor, Tensor] | None = None
+    topology: Topology | None = None
     stiffness: Tensor | None = None
     is_guess: bool = False
 
@@ -90,16 +94,18 @@ class Start:
         return cls(numbers={name: _checked(system, name, x) for name, x in start.items()})
 
     @classmethod
-    def of_motion(cls, system: Any, q: Tensor, v: Tensor, stiffness: Tensor | None = None) -> Start:
-        """The start in a state q [lanes, n_q], v [lanes, n_v] of a system of the same bodies and modes."""
+    def of_motion(cls, system: Any, q: Tensor, v: Tensor, at: Topology, stiffness: Tensor | None = None) -> Start:
+        """The start in a state q [lanes, n_q], v [lanes, n_v] of a system of the same bodies, with the topology `at`."""
         T = system.topology
-        if q.shape[1:] != (T.n_q,) or v.shape[1:] != (T.n_v,):
+        similar = at.bodies == T.bodies and at.flexible == T.flexible
+        similar = similar and all(abs(a - b) <= MORE for a, b in zip(at.mode_counts, T.mode_counts, strict=True))
+        if not similar or q.shape[1:] != (at.n_q,) or v.shape[1:] != (at.n_v,):
             raise InputError(
                 f"start is a motion of {q.shape[-1]} coordinates; allowed: one of a system like this, with {T.n_q}"
             )
         if not all_true(torch.isfinite(q)) or not all_true(torch.isfinite(v)):
             raise InputError("start is a motion whose last state is not finite; allowed: motions that are ok")
-        return cls(state=(q, v), stiffness=stiffness)
+        return cls(state=(q, v), topology=at, stiffness=stiffness)
 
     @property
     def tensors(self) -> list[Tensor]:
@@ -133,7 +139,7 @@ class Start:
     def data(self, T: Topology, bodies: list[Any], of_bodies: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Initial coordinates and rates as data of a design; of_bodies: those of initial.start_of_bodies."""
         if self.state is not None:
-            return {name: x.T[:, None] for name, x in zip(START_DATA, self.state, strict=True)}
+            return {name: self._state_in(T, x).T[:, None] for name, x in zip(START_DATA, self.state, strict=True)}
         if not self.numbers:
             return {}
         q, v = (of_bodies[name] for name in START_DATA)
@@ -144,9 +150,26 @@ class Start:
                     continue
                 if name == "axes":
                     x = euler_parameters(x) if x.dim() == 2 else torch.stack([euler_parameters(A) for A in x])
+                if name in MODAL:
+                    x = self._of_modes(f"{body.name}.{name}", x, T.mode_counts[i])
                 rows, is_rate = _rows(T, i, name), name in (*VELOCITIES, MODAL[1])
                 q, v = (q, _replace_rows(v, rows, x)) if is_rate else (_replace_rows(q, rows, x), v)
         return dict(zip(START_DATA, (q, v), strict=True))
+
+    def _state_in(self, T: Topology, x: Tensor) -> Tensor:
+        """A part of the state [lanes, n] in the order of another topology, of other numbers of modes."""
+        at = self.topology
+        if at is None or at.mode_counts == T.mode_counts:
+            return x
+        first = x.shape[1] - at.modes * at.flexible
+        w = x[:, first:].unflatten(1, (at.modes, at.flexible))
+        parts = enumerate(zip(T.names, T.mode_counts, strict=False))
+        moved = [pad(self._of_modes(f"{name}.modal", w[..., i], count), T.modes, (-1,)) for i, (name, count) in parts]
+        return torch.cat([x[:, :first], torch.stack(moved, -1).flatten(1)], 1)
+
+    def _of_modes(self, name: str, x: Tensor, count: int) -> Tensor:
+        """As `of_modes`; a search leaves out what a design does not have."""
+        return of_modes(name, x[..., :count] if self.is_guess else x, count, count)
 
 
 def _rank(name: str) -> int:
@@ -184,6 +207,10 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
         tensor = x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError):
         tensor = None
+    if tensor is not None and name.endswith(MODAL):  # designs may retain more modes than the first one
+        body = system.body(name.split(".")[0])
+        sizes = range(body.modes, max(body.fewest_modes + MORE, body.modes) + 1)
+        shape = tensor.shape[-1:] if tensor.dim() and tensor.shape[-1] in sizes else shape
     good = tensor is not None and tensor.dtype == torch.float64 and tensor.shape[tensor.dim() - len(shape) :] == shape
     if tensor is None or not good or tensor.dim() > len(shape) + 1 or not all_true(torch.isfinite(tensor)):
         size = ", ".join(map(str, shape))

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import torch
@@ -91,6 +92,7 @@ class System(nn.Module):
     ):
         super().__init__()
         self._start = Start()
+        self._mode_counts: tuple[int, ...] | None = None  # of each flexible body; None: those of the first design
         bodies, joints, forces, free = (
             list_of(name, items, kinds, allowed)
             for name, items, kinds, allowed in (
@@ -160,10 +162,12 @@ class System(nn.Module):
 
     def _join(self, joints: Sequence[Joint]) -> None:
         self.joints = list(joints)
-        self.topology = arrangement.build(self.bodies, self.joints, self.forces)
+        topology = arrangement.build(self.bodies, self.joints, self.forces)
+        self.topology = topology if self._mode_counts is None else topology.with_modes(self._mode_counts)
         ordered = [self.body(name) for name in self.topology.names]
         self._saddle = Saddle(self.topology)
         self._initial = self._start.conditions(self.topology, ordered)
+        self._of_modes: dict[tuple[int, ...], Self] = {}  # the same system for designs with other numbers of modes
         self.segments_of_phases: list[tuple[tuple, Any]] = []  # kept by integrate/segment.py
         self._joined_with = with_copies(self._constants_of_start())
 
@@ -190,6 +194,17 @@ class System(nn.Module):
         other._start = start
         other._join(self.joints)
         return other
+
+    def with_modes(self, mode_counts: tuple[int, ...]) -> Self:
+        """The same system for designs whose flexible bodies retain other numbers of modes; bodies and parameters are shared."""
+        if mode_counts == self.topology.mode_counts:
+            return self
+        if mode_counts not in self._of_modes:
+            other = copy.copy(self)
+            other._mode_counts = mode_counts
+            outside_transforms(lambda: other._join(self.joints))
+            self._of_modes[mode_counts] = other
+        return self._of_modes[mode_counts]
 
     @exclusive
     def describe(self) -> Description:
@@ -264,7 +279,8 @@ class System(nn.Module):
     def _present_dynamics(self, numbers: Mapping[str, Tensor]) -> Dynamics:
         """Structure stage of the present parameters, one design; numbers: in the place of parameters of the system itself."""
         self._check()
-        return self._dynamics(call_module(self, numbers, "data"))
+        data, structures = call_module(self, numbers, "stages")
+        return self._dynamics(data, _mode_counts(structures.values()))
 
     @exclusive
     def reduced(self, parameters: Mapping[str, Tensor]) -> Dynamics:
@@ -277,14 +293,15 @@ class System(nn.Module):
         self._check()
         data, structures = call_module(self, parameters, "stages")
         shapes = {name: structure["psi"] for name, structure in structures.items()}
-        return self._dynamics(_for_all_lanes(data, parameters)), shapes
+        return self._dynamics(_for_all_lanes(data, parameters), _mode_counts(structures.values())), shapes
 
     def equations(self) -> Dynamics:
         """The equations of motion without data of a design."""
-        return self._dynamics({})
+        return Dynamics(self.topology, self._saddle, {}, self._initial, self.stabilization)
 
-    def _dynamics(self, data: dict[str, Any]) -> Dynamics:
-        return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
+    def _dynamics(self, data: dict[str, Any], mode_counts: tuple[int, ...]) -> Dynamics:
+        """The equations of motion with the data of designs whose flexible bodies have so many modes."""
+        return replace(self.with_modes(mode_counts).equations(), data=data)
 
     @exclusive
     def dynamics(self, parameters: Mapping[str, Tensor] | None = None, tangents: Sequence[str] = ()) -> Dynamics:
@@ -313,8 +330,12 @@ class System(nn.Module):
             if name not in batch:
                 raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(batch)}")
 
+        mode_counts: list[tuple[int, ...]] = []  # of the calls of the stage, one number for each body
+
         def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
-            return _for_all_lanes(call_module(self, values, "data"), values)
+            of_designs, structures = call_module(self, values, "stages")
+            mode_counts.append(_mode_counts(structures.values()))
+            return _for_all_lanes(of_designs, values)
 
         with torch.no_grad():
             if tangents:
@@ -322,7 +343,7 @@ class System(nn.Module):
                 data = tangents_of(lambda moving: stage(fixed | moving), {name: batch[name] for name in tangents})
             else:
                 data = stage(batch)
-        return self._dynamics(data)
+        return self._dynamics(data, mode_counts[-1])
 
     def _check(self) -> None:
         """Join again where that is due; InputError for what is differentiated and cannot be (design_variables.py)."""
@@ -332,7 +353,7 @@ class System(nn.Module):
 
     def _data(self, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
         """Data of the motion (`Dynamics.data`), out of the structures of the flexible bodies."""
-        T = self.topology
+        T = self.topology.with_modes(_mode_counts(stages))
         flexible = [self.body(name) for name in T.names[: T.flexible]]
         rigid = [self.body(name) for name in T.names[T.flexible :]]
         beams = {beam.name: beam.structure() for beam in self.beams}
@@ -372,6 +393,11 @@ class System(nn.Module):
         if self.gravity is not None:
             data["gravity"] = stack_bodies([self.gravity], 1)
         return data
+
+
+def _mode_counts(structures: Iterable[dict[str, Tensor]]) -> tuple[int, ...]:
+    """The numbers of modes in the structures of the flexible bodies, of the design that retains most."""
+    return tuple(structure["Kr"].shape[-1] for structure in structures)
 
 
 def _rebuild_topology(system: System, _: Any) -> None:

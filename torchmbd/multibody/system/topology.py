@@ -7,7 +7,8 @@ Order of the unknowns (flexible bodies come first):
     v = r' [3, bodies] | omega [3, bodies] | w' [modes, flexible]   rates; omega in body axes
     lam: rows of the primitives, kind by kind (multibody/joints/primitive.py)
 
-`modes` is the largest number of modes; bodies with fewer are padded with modes that never move.
+`modes` is the largest number of modes; bodies and designs with fewer are padded with modes that never move. A topology belongs
+to the designs of a batch by its numbers of modes alone (`with_modes`).
 Known bodies, whose motion is known, follow the bodies in `vector_body`: the prescribed bodies of a condensation
 (prescribed_body.py), and the ground last. `rates`, in a condensed system, gives the rates of all bodies from independent ones;
 v and a then hold the independent ones, and only `split_v` and `dynamic_residual` treat the two cases apart.
@@ -87,7 +88,7 @@ class Topology:
     names: tuple[str, ...]  # bodies, flexible first
     flexible: int
     modes: int
-    mode_counts: tuple[int, ...]  # retained modes of each flexible body
+    mode_counts: tuple[int, ...]  # modes of each flexible body, of the design that retains most
     attached: tuple[Attached, ...]  # vectors, those of flexible bodies first
     attached_flexible: int
     vector_body: Tensor  # [vectors]; the ground is len(names)
@@ -108,6 +109,12 @@ class Topology:
     rates: Tensor | None = None  # [rates of all bodies, independent rates]
     spread: SparseMap | None = None  # `rates` as a map: independent rates -> rates of all bodies
     gather: SparseMap | None = None  # its transpose: forces on all bodies -> forces on independent rates
+
+    def with_modes(self, mode_counts: tuple[int, ...]) -> Topology:
+        """The topology of the same system whose flexible bodies have other numbers of modes; of one that is not condensed."""
+        if mode_counts == self.mode_counts:
+            return self
+        return replace(self, modes=max(mode_counts, default=0), mode_counts=mode_counts)
 
     @cached_property
     def links(self) -> Links:

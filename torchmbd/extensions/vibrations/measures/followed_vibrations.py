@@ -71,6 +71,7 @@ def _shape(system: System, key: _Key) -> NodalShape:
             f"vibration {number} of the system as it was built has no shape to follow: it is {why}; allowed: others, or "
             "follow=False"
         )
-    shape = NodalShape(spectrum.right[:, i].clone(), {name: x[0].detach().clone() for name, x in states.modes.items()})
+    modes = {name: x[0].detach().clone() for name, x in states.modes.items()}
+    shape = NodalShape(spectrum.right[:, i].clone(), states.dynamics.topology, modes)
     known[key] = values, shape
     return shape
