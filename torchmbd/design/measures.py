@@ -317,7 +317,7 @@ class Frequency(Measure):
 
 
 def _check_number(system: System, body: str, number: int, supports: Supports | None) -> None:
-    modes = flexible_body(system, body).fewest_modes if supports is None else 1
+    modes = flexible_body(system, body).mode_counts[0] if supports is None else 1
     if not is_whole(number) or number < 1 or (supports is None and number > modes):
         allowed = f"1 to {modes}, the modes that every design of {body!r} retains" if supports is None else "1, 2, ..."
         raise InputError(f"number is {number!r}; allowed: {allowed}")

@@ -197,4 +197,3 @@ def test_members_of_the_family_say_what_they_need():
         REDUCTIONS["craig-bampton"](4)
     with pytest.raises(InputError, match="interface is given"):
         REDUCTIONS["vibration"](4, (1, 2))
-    assert REDUCTIONS["craig-bampton"](4, (1, 2)).size == 6

@@ -9,7 +9,7 @@ import torch
 from torch.func import jvp
 
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction import basis, modal_basis
+from torchmbd.fem.reduction import cut, modal_basis
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.shared_modes import distinct
 
@@ -31,7 +31,7 @@ def solved(monkeypatch) -> list[int]:
         counts.append(len(K))
         return DenseModes(K_form, M_form, K, M, n)
 
-    monkeypatch.setattr(basis, "DenseModes", counted)
+    monkeypatch.setattr(cut, "DenseModes", counted)
     return counts
 
 

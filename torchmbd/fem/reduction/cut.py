@@ -14,7 +14,7 @@ Checked in tests/fem/reduction/test_cut.py.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -63,43 +63,53 @@ def rounding(pencil: Pencil, K: Tensor, M: Tensor) -> Tensor:
 
 def cut_modes(pencil: Pencil, n: int, more: int, cluster: float, K: Tensor, M: Tensor) -> Modes:
     """Return the modes of K, M [lane, *entry], cut as the module header says; count 0 where every cut divides a cluster."""
-    accuracy, most = rounding(pencil, K, M), min(n + more, pencil.K_form.size)
-    modes = _solved(pencil, n, K, M)
-    gaps = _gaps(modes, accuracy, cluster)
+    size = pencil.K_form.size
+    modes, most = _solved(pencil, n, K, M), min(n + more, size)
+    gaps = _Gaps.of(pencil, modes, cluster, K, M)
     if more == 0 or modes.complete:
-        modes.retain(_counts(gaps, n, most))
+        modes.retain(gaps.counts(n, most, size)[0])
         return modes
-    near = gaps[:, n - 1] <= NARROW  # further eigenvalues of a sparse problem are rough: more modes are solved for
+    near = ~gaps.apart[:, n - 1] | (
+        gaps.relative[:, n - 1] <= NARROW
+    )  # further eigenvalues are rough: solve for more modes
     if not near.any():
         return modes
-    wide = _solved(pencil, most, K[near], M[near])
-    wide.retain(_counts(_gaps(wide, accuracy[near], cluster), n, most))
+    K, M, solved = K[near], M[near], most
+    while True:
+        wide = _solved(pencil, solved, K, M)
+        counts, unknown = _Gaps.of(pencil, wide, cluster, K, M).counts(n, most, solved)
+        if not unknown.any():
+            break
+        solved = min(2 * solved, size)
+    wide.retain(counts)
     return wide if near.all() else PartModes(modes, near, wide)
 
 
 def cut_error(pencil: Pencil, modes: Modes, n: int, more: int, cluster: float, K: Tensor, M: Tensor) -> CutCluster:
     """The error for the lanes of count 0."""
     lanes = (modes.counts == 0).nonzero().squeeze(-1).tolist()
-    lane, others = lanes[0], ", ".join(map(str, lanes[1:]))
+    lane, others, size = lanes[0], ", ".join(map(str, lanes[1:])), pencil.K_form.size
     where = lane_name(lane, len(modes.counts)) + (f" (and of lanes {others})" if others else "")
-    one = slice(lane, lane + 1)
-    K, M = K[one], M[one]
-    accuracy, known = rounding(pencil, K, M), min(n + more, pencil.K_form.size)
-    solved = _solved(pencil, known, K, M)
-    ends = _ends(solved, accuracy, cluster)
+    one, known = slice(lane, lane + 1), min(n + more, size)
+
+    def ends(known: int) -> list[int]:
+        """Numbers of modes behind which there is a gap."""
+        gaps = _Gaps.of(pencil, _solved(pencil, known, K[one], M[one]), cluster, K[one], M[one])
+        return (gaps.apart[0].nonzero()[:, 0] + 1).tolist()
+
     if not more:
-        values = solved.eigenvalues()[0]
-        below, beyond = max((e for e in ends if e < n), default=0), next((e for e in ends if e > n), 0)
+        values = modes.lowest()[0][lane]
+        known_ends = ends(known)
+        below, beyond = max((e for e in known_ends if e < n), default=0), next((e for e in known_ends if e > n), 0)
         allowed = [f"n = {end}" for end in (below, beyond) if end]
         text = (
             f"n = {n} cuts a cluster{where}: eigenvalues {n} and {n + 1} are {values[n - 1]:.10g} and {values[n]:.10g}, closer "
             f"than cluster = {cluster:g} relative; take {' or '.join(allowed) or 'more modes'}"
         )
         return CutCluster(text, tuple(lanes), beyond or len(values))
-    while not any(end > n for end in ends):
-        known = min(2 * known, pencil.K_form.size)
-        ends = _ends(_solved(pencil, known, K, M), accuracy, cluster)
-    beyond = min(end for end in ends if end > n)
+    while not (further := [end for end in ends(known) if end > n]):
+        known = min(2 * known, size)
+    beyond = further[0]
     text = f"modes = {n}{where}: must not divide modes of equal frequency, as modes {n} to {beyond} are. Try: modes = {beyond}"
     return CutCluster(text, tuple(lanes), beyond)
 
@@ -113,25 +123,44 @@ def _solved(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> DenseModes | Sparse
     return DenseModes(pencil.K_form, pencil.M_form, K, M, n)
 
 
-def _gaps(modes: DenseModes | SparseModes, accuracy: Tensor, cluster: float) -> Tensor:
-    """The relative gap behind each mode [lane, modes], zero within a cluster; behind the last of all modes it is NARROW."""
-    values = modes.eigenvalues()
-    gaps, above = values.diff(dim=1), values[:, 1:].abs()
-    apart = gaps > torch.maximum(cluster * above, accuracy.maximum(ROUNDING * modes.shift.abs())[:, None])
-    gaps = torch.where(apart, gaps / above, 0.0)
-    return torch.nn.functional.pad(gaps, (0, 1), value=NARROW) if modes.complete else gaps
+class _Gaps(NamedTuple):
+    """The gaps behind modes [lane, modes].
 
+    relative   as in the module header; behind the last of all modes NARROW
+    apart      which are wider than a cluster and than rounding
+    cluster    largest relative gap in a cluster
+    """
 
-def _counts(gaps: Tensor, n: int, most: int) -> Tensor:
-    """The numbers of modes [lane], of gaps [lane, at least most]; 0 where all that are allowed divide a cluster."""
-    gaps = gaps[:, n - 1 : most]
-    further = torch.where(gaps[:, 0] > NARROW, 0, gaps.argmax(1))
-    return torch.where(gaps.gather(1, further[:, None])[:, 0] > 0.0, n + further, 0)
+    relative: Tensor
+    apart: Tensor
+    cluster: float
 
+    @classmethod
+    def of(cls, pencil: Pencil, modes: DenseModes | SparseModes, cluster: float, K: Tensor, M: Tensor) -> _Gaps:
+        values = modes.eigenvalues()
+        gaps, above = values.diff(dim=1), values[:, 1:].abs()
+        accuracy = rounding(pencil, K, M).maximum(ROUNDING * modes.shift.abs())[:, None]
+        apart = gaps > torch.maximum(cluster * above, accuracy)
+        relative = torch.where(gaps > 0.0, gaps / above, 0.0)
+        if modes.complete:
+            pad = torch.nn.functional.pad
+            relative, apart = pad(relative, (0, 1), value=NARROW), pad(apart, (0, 1), value=True)
+        return cls(relative, apart, cluster)
 
-def _ends(modes: DenseModes | SparseModes, accuracy: Tensor, cluster: float) -> list[int]:
-    """The numbers of modes behind which there is a gap, of one lane."""
-    return (_gaps(modes, accuracy, cluster)[0].nonzero()[:, 0] + 1).tolist()
+    def counts(self, n: int, most: int, known: int) -> tuple[Tensor, Tensor]:
+        """The numbers of modes [lane], 0 where all up to `most` divide a cluster; and where more than the `known` first gaps are
+        needed.
+
+        Frequencies whose differences are lost in the rounding of the highest are retained together, however many they are.
+        """
+        gaps = torch.where(self.apart, self.relative, 0.0)[:, n - 1 : most]
+        further = torch.where(gaps[:, 0] > NARROW, 0, gaps.argmax(1))
+        counts = torch.where(gaps.gather(1, further[:, None])[:, 0] > 0.0, n + further, 0)
+        lost = (counts == 0) & (self.relative[:, n - 1 : most] > self.cluster).any(1)
+        if most == n or not lost.any():
+            return counts, torch.zeros_like(lost)
+        beyond = torch.nn.functional.pad(self.apart[:, most:known], (0, 1))
+        return torch.where(lost & beyond.any(1), most + 1 + beyond.int().argmax(1), counts), lost & ~beyond.any(1)
 
 
 class PartModes(Modes):

@@ -37,6 +37,7 @@ from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
+from torchmbd.fem.reduction.registry import MORE
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.flexible_beam import FlexibleBeam
@@ -155,10 +156,13 @@ class FlexibleBody(MatrixMethods, nn.Module):
                 self.add_module(name, module)
 
     @property
-    def fewest_modes(self) -> int:
-        """Number of modes that every design retains at least; `modes` is that of the first design."""
+    def mode_counts(self) -> range:
+        """The numbers of modes that designs may retain; `modes` is that of the first design."""
         reduction = getattr(self.given_structure, "reduction", None) or getattr(self, "reduction", None)
-        return self.modes if reduction is None else reduction.n + len(reduction.interface)
+        if reduction is None:
+            return range(self.modes, self.modes + 1)
+        fewest = reduction.n + len(reduction.interface)
+        return range(fewest, fewest + MORE + 1)
 
     @property
     def plates(self) -> dict[str, Plates]:
@@ -308,7 +312,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         return self
 
     def bent(self, modal: Sequence[float] | Tensor | None = None, rate: Sequence[float] | Tensor | None = None) -> Self:
-        """Set initial modal coordinates and rates [modes], of the mode shapes of each design (`structure`); None: zero.
+        """Set initial modal coordinates and rates of the lowest modes of each design (`structure`), as many as every design
+        retains at least, mode_counts[0]; None: zero.
         Their gradients know how single modes turn (system/modal_start.py); InputError where modes of one frequency would.
         A torch.nn.Parameter is a design variable, "rod.modal", "rod.modal_velocity". Returns the body."""
         set_modal_start(self, modal, rate)
@@ -317,11 +322,12 @@ class FlexibleBody(MatrixMethods, nn.Module):
     def damped(self, ratio: float | Sequence[float] | Tensor = 0.0, rate: float | Tensor = 0.0) -> Self:
         """Set damping of the modes, in addition to `damping`. Returns the body.
 
-        ratio  damping ratio, one for all modes, or one for each, lowest frequency first [-]; mbd.variable(...) of one for
-               all, or a torch.nn.Parameter with one for each, is the design variable "rod.damping.ratios"
+        ratio  damping ratio, one for all modes, or one for each, lowest frequency first [-]; further modes of a design have the
+               last one; mbd.variable(...) of one for all, or a torch.nn.Parameter with one for each, is the design variable
+               "rod.damping.ratios"
         rate   mass-proportional part of Rayleigh's damping [1/s]; mbd.variable(...): "rod.damping.rate"
         """
-        self.damping.with_ratios(ratio, self.modes, rate)
+        self.damping.with_ratios(ratio, self.mode_counts, rate)
         return self
 
     def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:

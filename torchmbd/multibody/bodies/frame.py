@@ -250,19 +250,21 @@ def set_velocities(
 
 
 def set_modal_start(body: Any, *start_values: Sequence[float] | Tensor | None) -> None:
-    """Set the initial modal coordinates and rates [modes] of a flexible body; None: zero."""
-    allowed = f"{body.modes} finite numbers, one for each mode, or a torch.nn.Parameter"
+    """Set the initial modal coordinates and rates of a flexible body, of at least the modes that every design retains; None:
+    zero."""
+    counts = body.mode_counts
+    allowed = f"{counts[0]} finite numbers, one for each mode, or a torch.nn.Parameter"
     for key, x in zip(MODAL, start_values, strict=True):
         name = f"{key} of {body.name!r}"
         plain = (
             x.detach()
             if isinstance(x, nn.Parameter)
-            else torch.zeros(body.modes, dtype=torch.float64)
+            else torch.zeros(counts[0], dtype=torch.float64)
             if x is None
             else x
         )
         values = read_numbers(name, plain, allowed)
-        if values.shape != (body.modes,) or not bool(torch.isfinite(values).all()):
+        if values.dim() != 1 or len(values) not in counts or not bool(torch.isfinite(values).all()):
             raise InputError(f"{name} is {x!r}; allowed: {allowed}")
         register(body, key, parameter(name, x) if isinstance(x, nn.Parameter) else values)
     body.modal_start_given = any(x is not None for x in start_values)

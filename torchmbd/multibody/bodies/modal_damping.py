@@ -62,10 +62,11 @@ class ModalDamping(nn.Module):
             raise InputError(f"{label} of {self.body!r} is {value!r} {unit}; allowed: {allowed}")
         return x if is_variable(x) else value
 
-    def with_ratios(self, ratio: float | Sequence[float] | Tensor, modes: int, rate: float | Tensor = 0.0) -> Self:
-        """Set damping ratios, one for all modes or one for each, and the rate. Returns itself."""
+    def with_ratios(self, ratio: float | Sequence[float] | Tensor, modes: range, rate: float | Tensor = 0.0) -> Self:
+        """Set damping ratios, one for all modes or one for each, and the rate; modes: numbers of modes that designs may have.
+        Returns itself."""
         allowed = (
-            f"a number from 0 to 1, or {modes} of them, one for each mode; mbd.variable(...) for all, or a "
+            f"a number from 0 to 1, or {modes[0]} of them, one for each mode; mbd.variable(...) for all, or a "
             "torch.nn.Parameter with one for each"
         )
         name, plain = f"damping ratio of {self.body!r}", ratio.detach() if isinstance(ratio, nn.Parameter) else ratio
@@ -74,7 +75,7 @@ class ModalDamping(nn.Module):
         )
         values: Any = plain if several else [plain]
         numbers = [scalar(name, z, allowed) for z in values]
-        if len(numbers) != (modes if several else 1) or not all(0.0 <= z < 1.0 for z in numbers):
+        if (several and len(numbers) not in modes) or not all(0.0 <= z < 1.0 for z in numbers):
             raise InputError(f"{name} is {plain!r}; allowed: {allowed}")
         self.rate, self._shared = self._number("damping rate", rate, "1/s"), not several
         if "ratios" in self.__dict__:

@@ -198,7 +198,7 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
     quantities = {}
     for body in system.bodies:
         for quantity in (*POSE, *VELOCITIES, *(MODAL if hasattr(body, "mesh") else ())):
-            sizes = (3, 3) if quantity == "axes" else (body.modes,) if quantity in MODAL else (3,)
+            sizes = (3, 3) if quantity == "axes" else (body.mode_counts[0],) if quantity in MODAL else (3,)
             quantities[f"{body.name}.{quantity}"] = sizes
     if name not in quantities:
         raise unknown("in start the quantity", str(name), quantities)
@@ -208,9 +208,8 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
     except (TypeError, ValueError, RuntimeError):
         tensor = None
     if tensor is not None and name.endswith(MODAL):  # designs may retain more modes than the first one
-        body = system.body(name.split(".")[0])
-        sizes = range(body.modes, max(body.fewest_modes + MORE, body.modes) + 1)
-        shape = tensor.shape[-1:] if tensor.dim() and tensor.shape[-1] in sizes else shape
+        counts = system.body(name.split(".")[0]).mode_counts
+        shape = tensor.shape[-1:] if tensor.dim() and tensor.shape[-1] in counts else shape
     good = tensor is not None and tensor.dtype == torch.float64 and tensor.shape[tensor.dim() - len(shape) :] == shape
     if tensor is None or not good or tensor.dim() > len(shape) + 1 or not all_true(torch.isfinite(tensor)):
         size = ", ".join(map(str, shape))
