@@ -148,8 +148,7 @@ class _Gaps(NamedTuple):
         return cls(relative, apart, cluster)
 
     def counts(self, n: int, most: int, known: int) -> tuple[Tensor, Tensor]:
-        """The numbers of modes [lane], 0 where all up to `most` divide a cluster; and where more than the `known` first gaps are
-        needed.
+        """The numbers of modes [lane], 0 where all up to `most` divide a cluster; and where gaps beyond those known are needed.
 
         Frequencies whose differences are lost in the rounding of the highest are retained together, however many they are.
         """

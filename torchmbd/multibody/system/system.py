@@ -42,6 +42,7 @@ from torchmbd.multibody.system.modal_start import in_moving_basis
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.start import POSE, Start
 from torchmbd.multibody.system.state_equation import StateEquation, unchanged, with_copies
+from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.truncation import StaticTruncation, static_truncation
 
 _START_VARIABLES = ("position", *VELOCITIES, *MODAL)  # numbers of the initial state that can be design variables
@@ -163,13 +164,17 @@ class System(nn.Module):
     def _join(self, joints: Sequence[Joint]) -> None:
         self.joints = list(joints)
         topology = arrangement.build(self.bodies, self.joints, self.forces)
-        self.topology = topology if self._mode_counts is None else topology.with_modes(self._mode_counts)
+        self._take(topology if self._mode_counts is None else topology.with_modes(self._mode_counts))
+        self._joined_with = with_copies(self._constants_of_start())
+
+    def _take(self, topology: Topology) -> None:
+        """Have a topology of these bodies, joints and forces, and what follows from it."""
+        self.topology = topology
         ordered = [self.body(name) for name in self.topology.names]
         self._saddle = Saddle(self.topology)
         self._initial = self._start.conditions(self.topology, ordered)
         self._of_modes: dict[tuple[int, ...], Self] = {}  # the same system for designs with other numbers of modes
         self.segments_of_phases: list[tuple[tuple, Any]] = []  # kept by integrate/segment.py
-        self._joined_with = with_copies(self._constants_of_start())
 
     def _constants_of_start(self) -> list[Tensor]:
         """Positions, axes, rates and modal coordinates of the bodies that are no design variables."""
@@ -202,7 +207,7 @@ class System(nn.Module):
         if mode_counts not in self._of_modes:
             other = copy.copy(self)
             other._mode_counts = mode_counts
-            outside_transforms(lambda: other._join(self.joints))
+            outside_transforms(lambda: other._take(self.topology.with_modes(mode_counts)))
             self._of_modes[mode_counts] = other
         return self._of_modes[mode_counts]
 
