@@ -101,9 +101,10 @@ def test_forward_reverse_and_differences_agree_in_padded_lanes(options):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("modes", [3, 5])
-def test_responses_are_continuous_to_the_truncation_where_torsion_passes_bending(modes):
-    """Along a line of designs the numbers change, none fails, and the truncation of deflections changes by little of these."""
+@pytest.mark.parametrize(("modes", "discarded"), [(3, 121.0), (5, 325.0)])
+def test_responses_are_continuous_to_the_truncation_where_torsion_passes_bending(modes, discarded):
+    """Along a line of designs the numbers change and none fails. Deflections jump by no more than the first bending modes that
+    may be discarded contribute to them: (20 Hz / their frequency)^2, as amplitudes at the end are equal for all modes."""
     line = torch.logspace(1.3, 3.7, 25, dtype=torch.float64)
     result, many = (motion(system(n, start=2000.0), line) for n in (modes, 16))
     assert result.status == ["ok"] * len(line)
@@ -112,7 +113,7 @@ def test_responses_are_continuous_to_the_truncation_where_torsion_passes_bending
     assert modes <= min(counts) <= max(counts) <= modes + 4
     deflections, exact = (rows(x)[:, 1:] for x in (result, many))
     jumps = (deflections - exact).diff(dim=0).abs() / exact.abs().amax(0)
-    assert float(jumps.max()) < 0.01
+    assert float(jumps.max()) < (20.135 / discarded) ** 2
 
 
 @pytest.mark.thorough
