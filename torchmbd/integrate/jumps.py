@@ -143,7 +143,7 @@ def _jumps(
 def _numbers(element: Any) -> list[bytes]:
     """Values of parameters and buffers of an element, which may move its jumps."""
     modules = (getattr(element, "module", None), getattr(element.variables, "module", None))
-    states = (x for m in modules if isinstance(m, nn.Module) for x in m.state_dict().values())
+    states = (x for m in modules if isinstance(m, nn.Module) for x in (*m.parameters(), *m.buffers()))
     return [untransformed(x).numpy().tobytes() for x in states]
 
 
