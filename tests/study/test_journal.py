@@ -107,5 +107,5 @@ def test_the_best_of_a_study_is_feasible(heard, results, best):
     study = MultistartResult(results, [])
     assert (None if study.best is None else study.best.value) == best
     journal.first[0] = 8.0
-    _summarize(study, 1.0, journal)
+    _summarize(study, journal)
     assert [value for _, value in tracker.points[PARENT, "best_objective"]] == ([] if best is None else [best])
