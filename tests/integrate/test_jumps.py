@@ -350,7 +350,7 @@ class WrongLater(nn.Module):
         (lambda: sprung(wrong_away), f"law of 'push' .*dimensions.* {_line(wrong_away)}"),
         (
             lambda: driven(wrong_later),
-            f"law of the drive 'motor' raises NameError.* {_line(wrong_later)}",
+            f"'motor' raises NameError.* {_line(wrong_later)}",
         ),
         (lambda: controlled(WrongLater()), f"'pd' raises AttributeError.* {_line(WrongLater.forward)}"),
     ],

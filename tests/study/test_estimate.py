@@ -63,7 +63,8 @@ def test_the_cost_of_a_valid_file(write):
     assert "at most about 6 simulations in batches of 2" in text
     assert "of them once (loading, pictures, MLflow)" in text
     assert (
-        "gradients: reverse mode, chosen by an estimate," in text or "gradients: forward mode, chosen by an estimate," in text
+        "gradients: reverse mode, chosen by an estimate," in text
+        or "gradients: forward mode, chosen by an estimate," in text
     )
     assert "reverse mode" in text
     assert "forward mode" in text

@@ -256,9 +256,7 @@ def _constrained(
     c, finer_c = (value - limits) / scale, (finer - finer_limits) / scale
     sizes = rows_of(error.size) if constraint.kind != "equal" else rows_of(error.size.maximum(error.change))
     size = (
-        np.abs(value[0] - value[1]).max(initial=float(sizes[:2].max()))
-        if constraint.scale is None
-        else constraint.scale
+        np.ptp(value[:2], axis=0).max(initial=float(sizes[:2].max())) if constraint.scale is None else constraint.scale
     )
     at = np.arange(len(value)), governing_row(constraint, c)
     excess, finer_excess = ((np.abs(x) if constraint.kind == "equal" else x).max(1) for x in (c, finer_c))

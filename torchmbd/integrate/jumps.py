@@ -28,8 +28,8 @@ from torchmbd.integrate.contacts import MOST_SUBSTEPS
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.integrate.phase import Phase
-from torchmbd.math.gradients import untransformed
 from torchmbd.math.jumps import distinct, jump_times
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.torch_law import OUT_OF_RANGE
 from torchmbd.multibody.forces.control_history import ControlHistory
 from torchmbd.multibody.forces.controller import Controller
@@ -144,7 +144,7 @@ def _numbers(element: Any) -> list[bytes]:
     """Values of parameters and buffers of an element, which may move its jumps."""
     modules = (getattr(element, "module", None), getattr(element.variables, "module", None))
     states = (x for m in modules if isinstance(m, nn.Module) for x in (*m.parameters(), *m.buffers()))
-    return [untransformed(x).numpy().tobytes() for x in states]
+    return outside_transforms(lambda *x: [y.detach().numpy().tobytes() for y in x], *states)
 
 
 def _sampled(
