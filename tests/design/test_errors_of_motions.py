@@ -183,9 +183,10 @@ def test_motions_that_agree_by_chance_are_not_believed():
             response = mbd.AtTime(mbd.Position("bob", "x"), t)
             error = motion.error_of(response)
             value, half = error.value.item(), response(motion.finer(2)).item()
-            if abs(math.sin(omega * t) / omega - value) > 0.5 * abs(value):  # it is wrong
-                by_two += abs(half - value) < 0.1 * abs(value)
-                believed += error.resolved.item() and error.by_steps.abs().item() < 0.14 * abs(value)
+            size = error.size.item()
+            if abs(math.sin(omega * t) / omega - value) > 0.5 * size:  # it is wrong
+                by_two += abs(half - value) < 0.1 * size
+                believed += error.resolved.item() and error.by_steps.abs().item() < 0.14 * size
     assert by_two > 10
     assert believed < 0.3 * by_two
 
