@@ -89,9 +89,12 @@ class PolynomialSpring:
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         x = s - self.rest
-        spring = sum(k * x ** (n + 1) for n, k in enumerate(self.stiffness))
-        damper = sum(c * rate * rate.abs() ** n for n, c in enumerate(self.damping))
-        return -(spring + damper)
+        force = torch.zeros_like(x)
+        for n, k in enumerate(self.stiffness):
+            force = force - k * x ** (n + 1)
+        for n, c in enumerate(self.damping):
+            force = force - c * rate * rate.abs() ** n
+        return force
 
 
 @dataclass(frozen=True)

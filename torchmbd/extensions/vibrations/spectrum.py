@@ -74,12 +74,12 @@ class Spectrum:
         k, further = len(self.values), count - len(self.values)
         if not further:
             return self
-        values, *vectors = (
+        values, right, left, force, slip = (
             torch.nn.functional.pad(x, (0, further))
             for x in (self.values, self.right, self.left, self.force, self.slip)
         )
         cluster = torch.cat([self.cluster, torch.arange(k, count)])  # numbers of members: none is as large
-        return Spectrum(values, *vectors, cluster, (*self.fault, *[_NOT_RETAINED] * further))
+        return Spectrum(values, right, left, force, slip, cluster, (*self.fault, *[_NOT_RETAINED] * further))
 
     @classmethod
     def natural(cls, rest: Linearization, count: int | None = None) -> Spectrum:

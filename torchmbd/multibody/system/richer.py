@@ -20,7 +20,7 @@ def richer_system(system: Any, modes: Mapping[str, int] | None = None) -> tuple[
     modes   number that each body has, by name, largest of several designs; default: those of the first design
     """
     counts = modes or {}
-    return _changed(system, lambda body: has_reduction(body) and enrich(body, counts.get(body.name, body.modes)))
+    return _changed(system, lambda body: has_reduction(body) and enrich(body, counts.get(body.name) or body.modes))
 
 
 def finer_mesh_system(system: Any) -> tuple[Any, list[str]]:
