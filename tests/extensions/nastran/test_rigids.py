@@ -57,7 +57,7 @@ def test_a_system_of_displacements_permutes_components(frequencies):
     """Axes 1 2 3 of the grid are z x y: its 1 and 2 hold z and x. In a system that is turned by 30 degrees they are refused."""
     lines = ["GRID,91,,1.,.2,0.", "SPC1,1,123456,1,91", f"RBE2,51,91,12,{CELLS + 1}", "CORD2R,4,0,0.,0.,0.,0.,1.,0."]
     own = [line + ",4" if line.startswith(f"GRID,{CELLS + 1},") else line for line in beam(1)]
-    result = frequencies(*own, *lines, ",0.,0.,1.")
+    result = frequencies(*own, *lines, ",0.,0.,1.")[:2]  # bodies keep whole clusters
     assert result == pytest.approx([bending(1.87510), bending(3.92660, 2 * INERTIA)], rel=2e-3)
     with pytest.raises(InputError, match=r"RBE2 51 .*components 12 of GRID 17 .*turned"):
         frequencies(*own, *lines, ",.5,0.,.8")
@@ -74,7 +74,7 @@ def test_an_mpc_ties_two_tips_in_one_direction(first, second, tmp_path):
     result, modes = torch.linalg.eigh(made["Kr"].detach())
     free = bending(1.87510)  # in y, each for itself
     expected = [free, free, bending(1.87510, 2 * INERTIA), bending(3.92660, 2 * INERTIA)]
-    assert result.sqrt().tolist() == pytest.approx(expected, rel=3e-3)
+    assert result[:4].sqrt().tolist() == pytest.approx(expected, rel=3e-3)
     motion = made["psi"].detach() @ modes[:, 2]
     a, b = (float(motion[body.mesh.node(f"grid_{k}"), 2]) for k in (17, 117))
     assert abs(a) > 1e-3

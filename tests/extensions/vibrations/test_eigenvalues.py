@@ -183,8 +183,8 @@ def test_vibrations_that_grow_in_rotation_have_no_derivative():
     C = 2.0 * speed * torch.tensor([[0.0, -1.0], [1.0, 0.0]]).double()
     rest = Linearization.of_matrices(eye, C, (k - speed**2) * eye)
     spectrum = Spectrum.natural(rest)
-    assert spectrum.values[1].item() == pytest.approx(speed)
-    assert spectrum.fault == ("not a number: vibrations grow", "that of a vibration that grows")
+    assert spectrum.values.isnan().all()
+    assert spectrum.fault == ("not a number: vibrations grow",) * 2
 
 
 def servo_arm() -> mbd.System:
