@@ -43,7 +43,7 @@ class Interface:
     >>> ends = {"root": plate.edge(x=-0.25), "tip": mbd.Interface("right_edge", rigid=True)}
     >>> body = mbd.FlexibleBody.plate("plate", plate, laminate, interface=ends, **options)
     >>> body.modes, body.at("root")  # six for each interface, and two modes
-    (14, plate.at(nodes [0, 1, 2]))
+    (14, plate.at('root'))
     """
 
     nodes: Any
