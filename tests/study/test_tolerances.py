@@ -59,7 +59,7 @@ def test_a_study_with_tolerances(write, tmp_path, empty_store):
     angles = [metrics[f"design/angle_{k}_deg"] for k in (1, 2)]
     np.testing.assert_allclose(angles, np.degrees(alone.x), atol=1e-6)
     assert metrics["search/evaluations"] >= 5 * alone.analyses
-    again = io.StringIO()
+    plan, again = load_study(write(**given(4.0, starts=None))), io.StringIO()  # as the next command reads it
     assert run_study(plan, Console(file=again, width=200), MlflowTracker("again", uri)) in (0, UNVERIFIED)
     known = re.search(r"(\d+) of (\d+) evaluations known", again.getvalue())
     assert known is not None, again.getvalue()
