@@ -136,7 +136,7 @@ def test_bounds_change_the_key_where_they_change_numbers(wide, narrow, same):
 
 
 def use(system: mbd.System) -> None:
-    """What users do with a system."""
+    """Uses of a system that leave its key as it is."""
     repr(system.describe())
     system.static_truncation()
     system().train()

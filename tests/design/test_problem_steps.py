@@ -50,7 +50,7 @@ def test_chosen_steps_have_the_error_that_was_asked_for(tolerance):
 
 @pytest.mark.thorough
 def test_a_small_difference_asks_for_more_steps_than_its_parts():
-    """Of quantities with a zero of their own."""
+    """Quantities with a natural zero are measured by their value."""
     final, rms = mbd.Final(mbd.Velocity("bob", "x")), mbd.RMS(mbd.Velocity("bob", "x"))
     whole = problem(final, tolerance=4e-3)
     motion = whole.motion(whole.start)

@@ -44,7 +44,7 @@ def operand(part: Any, kind: type, noun: str, allowed: str) -> Any:
 
 
 def is_number(x: Any) -> bool:
-    """Whether an operand is a finite number, and no response."""
+    """Return whether an operand is a finite number and not a response."""
     try:
         number = x.detach() if isinstance(x, Tensor) else x  # a variable is refused by name later
         return not isinstance(x, (str, bool)) and abs(float(number)) < float("inf")
