@@ -142,10 +142,10 @@ def spoilt(system: mbd.System, monkeypatch: Any, lane: int = 1) -> None:
 
     own = system._dynamics
 
-    def made(data: dict[str, Any]) -> Any:
+    def made(data: dict[str, Any], mode_counts: tuple[int, ...]) -> Any:
         first = torch.zeros(value(data["Kr"]).shape, dtype=torch.bool)
         first[0, 0, ..., lane : lane + 1] = True  # smaller batches, as of the estimate of truncation, do not have it
-        return own(data | {"Kr": linear(lambda x: torch.where(first, torch.nan, x), data["Kr"])})
+        return own(data | {"Kr": linear(lambda x: torch.where(first, torch.nan, x), data["Kr"])}, mode_counts)
 
     monkeypatch.setattr(system, "_dynamics", made)
 

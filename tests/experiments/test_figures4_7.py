@@ -12,7 +12,7 @@ pytestmark = pytest.mark.usefixtures("compiled")
 @pytest.mark.thorough
 def test_figures_are_drawn_and_tell_what_the_header_says(tmp_path, monkeypatch):
     monkeypatch.setattr(figures4_7, "DURATION", 0.02)
-    numbers = figures4_7.figures(tmp_path, cells=(4, 2), steps=64)
+    numbers = figures4_7.figures(tmp_path, cells=(6, 2), steps=64)
     assert str(numbers.pop("sentence")).startswith("Fixed modes miss 1")
     assert {file.name for file in tmp_path.iterdir()} == {
         f"{name}.{ending}" for name in figures4_7.FIGURES.values() for ending in ("png", "pdf")

@@ -103,10 +103,10 @@ def check_native(system: mbd.System, names: list[str], f=number, **options) -> N
         assert_close(result[0][name][1], alone[name].grad, rtol=0, atol=1e-7 * size)
 
 
-def beam(section, name: str = "rod", line: mbd.BeamLine | None = None, **given) -> mbd.FlexibleBody:
+def beam(section, name: str = "rod", line: mbd.BeamLine | None = None, modes: int = 3, **given) -> mbd.FlexibleBody:
     """A beam of a few elements that leans."""
     line = line or mbd.BeamLine.straight(0.3, elements=4)
-    return mbd.FlexibleBody.beam(name, line, section, modes=3, axes=turned(0.3, -0.2, 0.5), **given)
+    return mbd.FlexibleBody.beam(name, line, section, modes=modes, axes=turned(0.3, -0.2, 0.5), **given)
 
 
 def ply(scale: float = 1.0, **given) -> mbd.Ply:

@@ -30,7 +30,8 @@ def test_the_best_design_on_the_steps(write, folder, empty_store):
     """Beside all designs that there are: 6 x 6."""
     store = shutil.copy(empty_store, folder / "mlflow.db")
     optimizer = {"name": "slsqp", "max_iterations": 20}
-    plan, output = load_study(write(**given(30, subject_to=None, optimizer=optimizer, starts=None))), io.StringIO()
+    sections = {"subject_to": None, "optimizer": optimizer, "starts": None, "simulate": SHORT | {"steps": 24}}
+    plan, output = load_study(write(**given(30) | sections)), io.StringIO()
     tracker = MlflowTracker("steps", f"sqlite:///{store}")
     assert run_study(plan, Console(file=output, width=200), tracker) in (0, UNVERIFIED)
     problem = plan.simulated

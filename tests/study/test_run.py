@@ -15,7 +15,7 @@ from rich.console import Console
 
 from torchmbd.errors import SimulationFailure
 from torchmbd.study.load import load_study as load
-from torchmbd.study.run import run_study
+from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
@@ -74,7 +74,7 @@ def files(outcome):
 
 
 def test_a_study_ends_well(study):
-    assert study.code == 0
+    assert study.code == UNVERIFIED  # four cells leave more than a tenth of the gain
     assert study.parent.info.status == "FINISHED"
     assert [child.info.status for child in study.children] == ["FINISHED"] * 2
     assert {child.data.tags["mlflow.parentRunId"] for child in study.children} == {study.parent.info.run_id}

@@ -44,6 +44,7 @@ _IGNORED = (
     "files",
     VERIFICATION,
     SEARCH_TEXT,
+    "last_failure",
     ACTIVE,
 )
 

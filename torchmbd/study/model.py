@@ -15,6 +15,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -188,7 +189,7 @@ def _from_file(file: Path) -> ModuleType:
     module = _executed.get(file) or _imported_from(file)
     if module is not None:
         return module
-    place = hashlib.sha256(str(file).encode()).hexdigest()[:8]  # files of other folders may have the same stem
+    place = hashlib.sha256(os.fsencode(file)).hexdigest()[:8]  # files of other folders may have the same stem
     name = f"torchmbd_model_{file.stem}_{place}"
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None

@@ -8,7 +8,7 @@ number depends on the design alone, not on the other lanes of its batch. Neighbo
 two gaps are equally wide or gap_n is NARROW; there responses change by the truncation, as little as the modes between the two
 numbers contribute.
 
-NARROW is 5 % of a frequency. Bending of a tube in two planes, or a torsional mode that passes it, is always nearer.
+NARROW is 4 % of a frequency. Bending of a tube in two planes, or a torsional mode that passes it, is always nearer.
 Checked in tests/fem/reduction/test_cut.py.
 """
 
@@ -25,7 +25,7 @@ from torchmbd.fem.reduction.forms import lane_name
 from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.fem.reduction.transport import DeflatedSolver, Pencil
 
-NARROW = 0.1  # of an eigenvalue
+NARROW = 0.08  # of an eigenvalue
 ROUNDING = 16 * torch.finfo(torch.float64).eps  # error of an eigenvalue, relative to the largest K_ii / M_ii
 SMALL = 150  # freedoms; up to this number all modes by a dense method cost no more
 
