@@ -10,6 +10,7 @@ import inspect
 import pickle
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -152,8 +153,102 @@ def use(system: mbd.System) -> None:
     system.load_state_dict(system.state_dict())
 
 
+def bar() -> mbd.System:
+    """A round bar that swings; its torsional modes pass the bending modes, so designs retain 3, 5 or 7 modes."""
+    stiffness: Any = [[x if i == j else 0.0 for j in range(6)] for i, x in enumerate((2e7, 4e6, 4e6, 0.0, 4e2, 4e2))]
+    stiffness[3][3] = mbd.variable(900.0)
+    mass = torch.diag(torch.tensor([0.3, 0.3, 0.3, 4.8e-4, 2.4e-4, 2.4e-4], dtype=torch.float64))
+    line = mbd.BeamLine.straight(1.0, elements=4)
+    arm = mbd.FlexibleBody.beam("arm", line, mbd.GivenSection(stiffness, mass), modes=3, reference="start")
+    tip = mbd.RigidBody("tip", mass=0.02, inertia=(2e-5, 2e-5, 2e-5), position=(1.0, 0.03, 0.02))
+    ground = mbd.Ground()
+    joints = [
+        mbd.Revolute(ground.at(), arm.at("start"), axis="z", name="hinge"),
+        mbd.Fixed(arm.at("end"), tip.at(0, -0.03, -0.02), name="clamp"),
+    ]
+    return mbd.System([arm, tip], joints, gravity=(0.0, -3.0, -9.81), truncation=None)
+
+
+GJ = "arm.section.stiffness_44"
+LAG = mbd.Displacement("arm", "y", node="end")
+SWING: dict[str, Any] = {
+    "duration": 0.01,
+    "minimize": ENERGY,
+    "subject_to": mbd.Max(LAG) <= 1.0,
+    "bounds": (20.0, 3000.0),
+    "start": [900.0],
+    "steps": 8,
+    "backend": "eager",
+}
+RETAINED = np.array([[30.0], [130.0], [316.0], [2500.0]])  # of 3, 5, 7 and 4 modes
+
+
+def swing(kind: Callable[..., Any] = mbd.Problem, **changes: Any) -> Any:
+    return kind(bar(), **{**SWING, **changes})
+
+
+#: Kind of problem -> the problem, and options of its study.
+KINDS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
+    "plain": (swing, {}),
+    "expected": (lambda: mbd.RobustProblem(swing(), 50.0), {}),
+    "worst": (lambda: mbd.RobustProblem(swing(), 50.0, "worst"), {}),
+    "scenarios": (partial(swing, mbd.Scenarios, variables=[GJ], scenarios=[{"system": bar()}, {}]), {}),
+    "min-max": (partial(swing, minimize=mbd.AtTimes(LAG, count=5), bound=(1.0, 100.0)), {}),
+    "aggregate": (partial(swing, subject_to=mbd.Aggregate([mbd.AtTimes(LAG, count=5), mbd.Max(LAG)]) <= 1.0), {}),
+    "phases": (partial(swing, phases=[mbd.Phase(until=0.004, lock=["hinge"]), mbd.Phase()]), {}),
+    "discrete": (swing, {"increments": {GJ: 100.0}}),
+    "tradeoff": (partial(swing, mbd.Tradeoff, minimize={"energy": ENERGY, "frequency": -mbd.Frequency("arm")}), {}),
+    "differences": (lambda: mbd.Differences(swing()), {}),
+}
+
+
+def keys_of(one: Any, options: dict[str, Any]) -> tuple[str, ...]:
+    study = mbd.Study(one, **options)
+    return problem_key(one), problem_key(study.simulated), study_key(study, "sqlite:///runs.db")
+
+
 @pytest.mark.thorough
-@pytest.mark.parametrize("changes", [{}, MIN_MAX, ARGUMENTS["phases"][1]], ids=["one number", "min-max", "phases"])
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of short motions with few modes
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_use_of_a_problem_leaves_its_keys(kind, tmp_path):
+    """Evaluations of designs with other numbers of modes, errors, searches, verification, pictures."""
+    make, options = KINDS[kind]
+    one = make()
+    before, uses = keys_of(one, options), []
+    simulated = mbd.Study(one, **options).simulated
+
+    def use(name: str, call: Callable[[], Any]) -> Any:
+        result = call()
+        uses.append((name, keys_of(one, options)))
+        return result
+
+    designs = np.hstack([RETAINED, np.ones((len(RETAINED), len(simulated.names) - 1))])
+    assert all(e.ok for e in use("values", lambda: simulated.evaluate(designs, False)))
+    use("gradients", lambda: one.evaluate(one.start[None], True))
+    motion = use("motion", lambda: one.motion(one.start)) if hasattr(one, "motion") else None
+    if motion is not None:
+        use("error", lambda: motion.error_of(mbd.Final(LAG)))
+        use("picture", lambda: mbd.viz.animate(motion, tmp_path / "bar.html"))
+    if hasattr(simulated, "errors"):
+        use("errors of responses", lambda: simulated.errors(simulated.start))
+    if kind == "tradeoff":
+        use("front", lambda: mbd.pareto_front(one, divisions=2, max_iterations=1))
+    elif kind == "discrete":
+        use("discrete", lambda: mbd.optimize_discrete(one, [np.arange(100.0, 3000.0, 100.0)], max_iterations=1))
+    else:
+        result = use("search", lambda: mbd.optimize(one, max_iterations=1, progress=False))
+        if kind != "differences":
+            use("verification", lambda: mbd.verify(result))
+    assert uses == [(name, before) for name, _ in uses]
+    assert keys_of(make(), options) == before
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "changes",
+    [{}, MIN_MAX, ARGUMENTS["phases"][1], {"steps": None}],
+    ids=["one number", "min-max", "phases", "chosen steps"],
+)
 def test_the_use_of_a_system_leaves_the_keys_of_its_problems(changes):
     system = mbd.examples.arm()
     one = problem(system, **changes)

@@ -71,13 +71,14 @@ class System(nn.Module):
     """
 
     gravity: Tensor | None
-    #: Attributes that follow from bodies, joints, forces and start (math/digest.py); the last one fills while it is used.
+    #: Attributes that follow from bodies, joints, forces and start (math/digest.py); the last two fill while they are used.
     derived_state: ClassVar = (
         "topology",
         "_saddle",
         "_initial",
         "_joined_with",
         "_topology_tensors",
+        "_of_modes",
         "segments_of_phases",
     )
 
