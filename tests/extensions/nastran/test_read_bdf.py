@@ -104,10 +104,10 @@ def test_theta_turns_the_laminate(body):
 
     That is all of it: with As of the stack as it lies in the file, the turned plies have its modes to rounding.
     """
-    turned, own = values(body(model(theta="30."))), by_hand((50.0, -20.0, 105.0))
+    turned, own = values(body(model(theta="30.")))[:4], by_hand((50.0, -20.0, 105.0))[:4]
     assert_close(turned, with_shear((50.0, -20.0, 105.0), turned_shear(math.pi / 6)), rtol=1e-8, atol=0)
     assert 1e-4 < float((turned / own - 1).abs().max()) < 6e-3
-    assert float((own / by_hand() - 1).abs().max()) > 0.05
+    assert float((own / by_hand()[:4] - 1).abs().max()) > 0.05
 
 
 RIGID_END = ["GRID,900,,.2,0.,.03", "RBE2,30,900,123456,601,602,603", "CONM2,31,900,0,.7,,,,", ",1.-4,,1.-4,,,1.-4"]

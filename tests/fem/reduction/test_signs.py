@@ -56,7 +56,8 @@ def test_a_design_alone_and_in_a_batch_has_the_same_modes(name):
     together = modes_of(body, designs)
     for k in range(11):
         alone = modes_of(body, designs[k])
-        torch.testing.assert_close(alone, together[k], rtol=0, atol=1e-6 * float(alone.abs().max()))
+        lane = together[k, ..., : alone.shape[-1]]
+        torch.testing.assert_close(alone, lane, rtol=0, atol=1e-6 * float(alone.abs().max()))
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def test_angles_of_the_section_are_the_parameters():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(("asked", "kept"), [(1, 4), (2, 4), (3, 4), (4, 4), (5, 6), (9, 10)])
+@pytest.mark.parametrize(("asked", "kept"), [(1, 4), (2, 4), (3, 4), (4, 4), (5, 8), (9, 12)])
 def test_equal_frequencies_are_kept_together(asked, kept):
     """A square tube held at its center: four ends that bend alike, then pairs."""
     ply = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
@@ -52,7 +52,7 @@ def test_equal_frequencies_are_kept_together(asked, kept):
     assert body.modes == kept
     Kr = body.structure()["Kr"]
     assert Kr.shape == (kept, kept)
-    more = mbd.FlexibleBody.beam("arm", BeamLine.straight(0.3, 8), tube, modes=12).structure()["Kr"]
+    more = mbd.FlexibleBody.beam("arm", BeamLine.straight(0.3, 8), tube, modes=14).structure()["Kr"]
     squares = torch.linalg.eigvalsh(more.detach())
     assert squares[kept] > (1.0 + 1e-6) * squares[kept - 1]  # the next is another one
     assert_close(torch.linalg.eigvalsh(Kr.detach()), squares[:kept], rtol=1e-9, atol=0.0)
@@ -96,7 +96,9 @@ def test_frequencies_move_with_the_ply_angles():
     rough = torch.stack([(frequencies(angles + e) - frequencies(angles - e)) / 2e-4 for e in h], dim=-1)
     assert_close(exact, rough, rtol=1e-5, atol=1e-5 * float(rough.abs().max()))
     lanes = torch.stack([angles, angles + 0.3])
-    assert_close(frequencies(lanes), torch.stack([frequencies(a) for a in lanes]), rtol=1e-9, atol=0)
+    for lane, a in zip(frequencies(lanes), lanes, strict=True):
+        alone = frequencies(a)
+        assert_close(lane[-len(alone) :], alone, rtol=1e-9, atol=0)  # those of padding are 0 and come first
 
 
 class _Structure(torch.nn.Module):
