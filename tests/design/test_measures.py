@@ -153,7 +153,7 @@ def test_an_equilibrium_has_values_at_its_times():
 def test_a_frequency_that_does_not_exist_is_named(number):
     """Also where no Problem has looked at the measure: 0 and -1 would be the last ones."""
     motion = mbd.simulate(pendulum(), 0.01, steps=2)
-    with pytest.raises(mbd.InputError, match=rf"number is {number}; allowed: 1 to 2, the modes that every design of 'rod' retains"):
+    with pytest.raises(mbd.InputError, match=rf"number is {number}; allowed: 1 to 2, the modes that every"):
         mbd.Frequency("rod", number).value(motion)
 
 

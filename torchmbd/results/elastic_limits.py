@@ -139,7 +139,9 @@ def _is_stiffened(motion: Trajectory, name: str) -> bool:
 def name_causes(motion: Trajectory) -> None:
     """Append to the status of each lane whose motion broke off the spin or the displacements that likely caused it."""
     spins, displacements = motion.stats["spin_ratio"], displacement_ratios(motion)
-    complete = torch.isfinite(motion.q).flatten(1).all(1)  # the motion is known to its end: it failed for another reason
+    complete = (
+        torch.isfinite(motion.q).flatten(1).all(1)
+    )  # the motion is known to its end: it failed for another reason
     for lane, status in enumerate(motion.status):
         if not has_failed(status) or complete[lane]:
             continue
