@@ -76,3 +76,29 @@ def test_motions_of_an_optimization_have_none(monkeypatch, capsys):
     problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
     mbd.optimize(problem, max_iterations=1, progress=False)
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("progress", "line"), [(None, True), (False, False)])
+def test_a_long_stage_has_one_line_in_a_script(progress, line, monkeypatch, capsys):
+    """A stage within it has none; the thread that writes begins at once and is waited for by the stage within."""
+    monkeypatch.setattr(bars, "PATIENCE", 0.0)
+    written = bars.threading.Event()
+    monkeypatch.setattr(bars.sys.stderr, "flush", written.set, raising=False)
+    with bars.quietly(progress is False), bars.stage("choosing the steps"), bars.stage("compiling"):
+        assert written.wait(10.0 if line else 0.01) is line
+    assert capsys.readouterr().err == "torchmbd: choosing the steps ...\n" * line
+
+
+def test_a_short_stage_has_no_line(capsys):
+    with bars.stage("choosing the steps"):
+        pass
+    assert capsys.readouterr().err == ""
+
+
+def test_a_stage_is_told_to_who_listens(monkeypatch, capsys):
+    monkeypatch.setattr(bars, "PATIENCE", 0.0)
+    heard = []
+    with bars.stages_told(heard.append), bars.stage("choosing the steps"):
+        bars.begin_stage("compiling")
+    assert heard == ["choosing the steps", "compiling"]
+    assert capsys.readouterr().err == ""

@@ -1,6 +1,7 @@
 """Progress bars of motions, optimizations and multistarts: in a terminal and in notebooks, on standard error.
 
-What else takes long, such as compiling, is told to whom wants to hear it (`stages_told`).
+Other work that may take long, such as compiling, is a stage (`stage`): the command line shows its name (`stages_told`); in a
+script it is a line on standard error, where it takes longer than `PATIENCE`.
 
 Checked in tests/test_progress.py.
 """
@@ -8,6 +9,7 @@ Checked in tests/test_progress.py.
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,7 +23,9 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 DELAY = 3.0  # [s] of a motion before its bar appears: a motion that takes less has none
+PATIENCE = 2.0  # [s] of a stage before its line appears in a script
 _silent: ContextVar[bool] = ContextVar("silent", default=False)  # motions have no bars of their own
+_quiet: ContextVar[bool] = ContextVar("quiet", default=False)  # progress=False: stages have no lines
 _reached: ContextVar[Callable[[float], None] | None] = ContextVar("reached", default=None)
 _stage: ContextVar[Callable[[str], None] | None] = ContextVar("stage", default=None)
 
@@ -67,12 +71,42 @@ def begin_stage(name: str) -> None:
 
 
 @contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Work that may take long: its name is told, or shown on standard error where it takes longer than `PATIENCE`.
+
+    A stage within a stage has no line of its own, nor has one of a call with progress=False.
+    """
+    if _stage.get() is not None or _quiet.get():
+        begin_stage(name)
+        yield
+        return
+    line = threading.Timer(PATIENCE, lambda: print(f"torchmbd: {name} ...", file=sys.stderr, flush=True))
+    line.daemon = True
+    line.start()
+    try:
+        with quietly():
+            yield
+    finally:
+        line.cancel()
+
+
+@contextmanager
+def quietly(quiet: bool = True) -> Iterator[None]:
+    """Stages inside have no lines, if `quiet`."""
+    token = _quiet.set(quiet or _quiet.get())
+    try:
+        yield
+    finally:
+        _quiet.reset(token)
+
+
+@contextmanager
 def shown(progress: bool | None, what: str, total: int) -> Iterator[Callable[[int, float], None]]:
     """A bar of `total` parts; what is yielded is called with the parts that are done and the best objective so far.
 
     The motions inside have no bars.
     """
-    with without_bars():
+    with without_bars(), quietly(progress is False):
         if not wanted(progress):
             yield lambda done, objective: None
             return
@@ -85,7 +119,8 @@ def shown(progress: bool | None, what: str, total: int) -> Iterator[Callable[[in
 def motion_shown(progress: bool | None, duration: float) -> Iterator[None]:
     """A bar of simulated time [s], which `reach` moves; it appears after `DELAY`, or at once where it is asked for."""
     if _silent.get() or not wanted(progress):
-        yield
+        with quietly(progress is False):
+            yield
         return
     with _bar("{task.completed:.4g}/{task.total:.4g} s") as bar:
         task = bar.add_task("simulate", total=duration, visible=bool(progress))

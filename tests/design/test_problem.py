@@ -12,6 +12,8 @@ import torchmbd as mbd
 from tests.mechanisms import pendulum
 from torchmbd.design import Constraint
 from torchmbd.errors import InputError
+from torchmbd.fem.reduction import CutCluster
+from torchmbd.fem.reduction.forms import lane_name
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -201,3 +203,21 @@ def test_numpy_in_a_response_is_named(gradients):
     p = mbd.Problem(mbd.examples.arm(), 0.01, largest, steps=4, gradients=gradients)
     with pytest.raises(InputError, match=r"response 'largest' makes NumPy numbers .*; allowed: operations of torch"):
         p.evaluate(p.start[None], True)
+
+
+@pytest.mark.thorough
+def test_the_status_of_a_design_names_no_lane(monkeypatch):
+    """A batch of which a design cannot be reduced is evaluated without it, and the status is that of the design alone."""
+    part = problem()
+    motions = part._motions
+
+    def refusing(X, gradients):
+        cut = tuple(np.flatnonzero(X[:, 0] > 1.0).tolist())
+        if cut:
+            raise CutCluster(f"modes = 2{lane_name(cut[0], len(X))}: must not divide modes", cut, 3)
+        return motions(X, gradients)
+
+    monkeypatch.setattr(part, "_motions", refusing)
+    X = np.radians([[20.0, -50.0], [70.0, 15.0], [30.0, 10.0], [80.0, 15.0]])
+    states = [e.status for e in part.evaluate(X, False)]
+    assert states == ["ok", "failed: modes = 2: must not divide modes"] * 2

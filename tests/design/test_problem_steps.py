@@ -12,6 +12,7 @@ import torchmbd as mbd
 from torchmbd.design import problem_steps
 from torchmbd.design.problem_steps import steps_for
 from torchmbd.errors import InputError
+from torchmbd.progress import stages_told
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -177,3 +178,16 @@ def test_where_half_of_the_steps_fail_the_steps_themselves_are_the_measure(monke
     assert math.isfinite(choice.error)
     assert choice.steps is not None
     assert choice.steps >= steps
+
+
+@pytest.mark.thorough
+def test_the_choice_is_a_stage():
+    heard = []
+    with stages_told(heard.append):
+        _ = problem().steps
+    assert heard[0] == "choosing the steps for the start design"
+
+
+def test_an_unknown_error_names_its_response_and_the_reason():
+    text = str(problem_steps.StepChoice(1600, math.inf, "max of |z displacement of panel|", "it has no number"))
+    assert text == "with 1600 steps the error of max of |z displacement of panel| is not known (it has no number)"

@@ -332,7 +332,9 @@ class Problem(Summary):
         try:
             motions = self._motions(X, gradients)
         except CutCluster as error:  # names its lanes, so that the other designs remain one batch
-            failed = {lane: Evaluation.failure(f"failed: {error}", self.rows) for lane in error.lanes}
+            if len(X) == 1:
+                return [Evaluation.failure(f"failed: {error}", self.rows)]
+            failed = {lane: self.evaluate(X[lane : lane + 1], gradients)[0] for lane in error.lanes}
             rest = [lane for lane in range(len(X)) if lane not in failed]
             evaluations = dict(zip(rest, self.evaluate(X[rest], gradients), strict=True)) if rest else {}
             return [failed[lane] if lane in failed else evaluations[lane] for lane in range(len(X))]

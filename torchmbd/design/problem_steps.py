@@ -31,6 +31,7 @@ from torchmbd.integrate import Trajectory, simulate
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.step_count import rounding
 from torchmbd.math.checked_numbers import is_real
+from torchmbd.progress import stage
 from torchmbd.results.motion_data import OK
 from torchmbd.results.response_error import response_error, rows_of
 
@@ -70,6 +71,8 @@ class StepChoice:
         return self.error <= tolerance and not self.reason
 
     def __str__(self) -> str:
+        if not math.isfinite(self.error):
+            return f"with {self.steps} steps the error of {self.response} is not known ({self.reason or 'no number'})"
         why = f" ({self.reason})" if self.reason else ""
         return f"{self.steps} steps have an error of {100.0 * self.error:.2g} % in {self.response}{why}"
 
@@ -89,7 +92,8 @@ def problem_steps(problem: Any) -> int | None:
     """
     if problem.simulation["steps"]:
         return problem.simulation["steps"]
-    choice = steps_for(problem, problem.start)
+    with stage("choosing the steps for the start design"):
+        choice = steps_for(problem, problem.start)
     if not math.isnan(choice.error) and not choice.meets(problem.tolerance):
         _warn(problem, choice)
     return choice.steps

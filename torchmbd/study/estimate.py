@@ -241,9 +241,7 @@ def print_estimate(study: StudySettings, console: Console) -> Estimate | None:
         soft_wrap=True,
     )
     with stages_told(Beginning(console).stage):
-        if problem.chooses_steps:
-            begin_stage("choosing the steps for the start design")
-            _ = problem.steps
+        _ = problem.steps  # chosen before costs are measured
         cost = estimate(study, problem)
         values, reason = _values_with_errors(problem, cost, others + 1)
     count = 0

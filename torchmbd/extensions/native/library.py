@@ -46,7 +46,7 @@ from torchmbd.math.digest import digest
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.process import cache_folder, require_cache_folder
-from torchmbd.progress import begin_stage
+from torchmbd.progress import stage
 
 _SOURCES = (
     "math",
@@ -169,10 +169,9 @@ def _load(dynamics: Dynamics, kinds: Sequence[str]) -> None:
             _loaded[name] = code
     if not missing:
         return
-    begin_stage("compiling")
-    texts = [functions.source(data.kind_of(dynamics), kind) for kind in missing]  # tracing is of one thread
     system = ", ".join(dynamics.topology.names)
-    with ThreadPoolExecutor(len(missing)) as pool:
+    with stage("compiling"), ThreadPoolExecutor(len(missing)) as pool:
+        texts = [functions.source(data.kind_of(dynamics), kind) for kind in missing]  # tracing is of one thread
         for name, path, why in pool.map(_built, missing.values(), missing, texts, repeat(system)):
             code = _loaded_library(path) if why is None else None
             if code is None:

@@ -149,5 +149,5 @@ class SeenFromGround:
             numbers = w.nan_to_num(torch.inf).argsort(dim=1, stable=True)[:, self.number]
             self.orders = self.orders.gather(1, numbers[:, None])
             self.chosen = numbers.unique().tolist()
-            self.places = torch.searchsorted(torch.tensor(self.chosen), numbers)[:, None]
+            self.places = torch.searchsorted(torch.tensor(self.chosen), numbers.contiguous())[:, None]
         return self.chosen

@@ -29,7 +29,7 @@ import torch
 from torchmbd.errors import warn
 from torchmbd.extensions.native.codegen import build_cache
 from torchmbd.process import cache_folder, require_cache_folder
-from torchmbd.progress import begin_stage
+from torchmbd.progress import stage
 
 SUFFIX = ".so"
 OPTIONS = ("-std=c++17", "-march=native", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
@@ -128,8 +128,10 @@ class Native:
 
     def _build(self) -> None:
         """Compile the source; the library gets its name when it is complete."""
-        begin_stage("compiling")
-        with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
+        with (
+            stage("compiling"),
+            tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work,
+        ):
             output = Path(work) / "code.so"
             command = [compiler(), "-O3", *OPTIONS, "-o", str(output), str(PACKAGE / self.source)]
             subprocess.run(command, check=True, capture_output=True)
