@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import pytest
 import torch
@@ -97,3 +99,82 @@ def test_designs_of_a_wrong_shape(system):
     for X in (np.zeros(5), np.zeros((2, 4))):
         with pytest.raises(InputError, match=r"designs have shape .*; allowed: \[lanes, 5\]"):
             DesignSpace(system).designs(X)
+
+
+class Swing(torch.nn.Module):
+    """A controller with parameters of the names of a laminate; it has no period."""
+
+    def __init__(self, angles: torch.nn.Parameter | None = None):
+        super().__init__()
+        start = torch.tensor([0.3, -0.4], dtype=torch.float64)
+        self.angles = torch.nn.Parameter(start) if angles is None else angles
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return self.angles.sum(-1, keepdim=True) * x
+
+
+class Turn(Swing):
+    """One that repeats itself."""
+
+    periods: ClassVar = {"angles": 2.0 * np.pi}
+
+
+def controlled(module: torch.nn.Module, angles: torch.nn.Parameter | None = None) -> mbd.System:
+    """A rod on a hinge with a controlled torque."""
+    ground = mbd.Ground()
+    rod = plate("rod", made_of=laminate() if angles is None else mbd.Laminate(mbd.examples.carbon(), angles, 2e-3))
+    hinge = mbd.Revolute(ground.at(), rod.at("left"), axis="z", name="hinge")
+    signals = [mbd.signals.JointAngle(hinge)], [mbd.signals.JointTorque(hinge)]
+    return mbd.System([rod], [hinge], [mbd.Controller(module, *signals, name="law")])
+
+
+def test_the_period_is_that_of_the_module_that_owns_a_parameter():
+    for module, period in ((Swing(), 0.0), (Turn(), 2.0 * np.pi)):
+        space = DesignSpace(controlled(module), ["law.angles", "rod.laminate.angles"])
+        assert space.period == pytest.approx([period] * 2 + [np.pi] * 3)
+
+
+def test_a_parameter_that_several_modules_share_repeats_itself_where_all_do():
+    angles = torch.nn.Parameter(torch.tensor([0.3, -0.4], dtype=torch.float64))
+    for module, period in ((Swing(angles), 0.0), (Turn(angles), 2.0 * np.pi)):
+        assert DesignSpace(controlled(module, angles), ["rod.laminate.angles"]).period == pytest.approx([period] * 2)
+
+
+@pytest.mark.parametrize(
+    ("factor", "period"),
+    [
+        (-1.0, np.pi),
+        (2.0, np.pi),
+        (0.5, 2.0 * np.pi),
+        (-1.0 / 3.0, 3.0 * np.pi),
+        (1.5, 2.0 * np.pi),
+        (np.sqrt(2.0), 0.0),
+    ],
+)
+def test_the_period_of_a_variable_is_that_of_all_that_follow_it(system, factor, period):
+    links = {"two.laminate.angles[1]": {"two.laminate.angles[0]": factor, "constant": 0.1}}
+    space = DesignSpace(system, ["two.laminate.angles"], links=links)
+    assert space.period == pytest.approx([period], rel=1e-12)
+    if period:
+        first, last = (space.designs(space.start[None] + x)["two.laminate.angles"] for x in (0.0, period))
+        assert_close(torch.polar(torch.ones_like(first), 2.0 * first), torch.polar(torch.ones_like(last), 2.0 * last))
+
+
+def test_a_follower_without_a_period_ends_that_of_its_leader(system):
+    links = {"two.laminate.thickness[0]": {"two.laminate.angles[1]": 1e-3, "constant": 2e-3}}
+    space = DesignSpace(system, ["two.laminate.angles", "two.laminate.thickness"], links=links)
+    assert space.period == pytest.approx([np.pi, 0.0, 0.0])
+
+
+def test_tolerances_narrow_the_bounds_of_what_does_not_repeat_itself():
+    problem = mbd.Problem(
+        controlled(Swing()),
+        0.01,
+        mbd.Integral(mbd.StrainEnergy("rod")),
+        bounds=(-1.0, 1.0),
+        variables=["law.angles", "rod.laminate.angles"],
+        start=[0.3, -0.4, 0.0, 0.0, 0.0],
+        steps=4,
+    )
+    robust = mbd.RobustProblem(problem, 0.1)
+    assert robust.upper == pytest.approx([0.9] * 2 + [1.0] * 3)

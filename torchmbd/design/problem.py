@@ -215,7 +215,7 @@ class Problem(Summary):
 
     @property
     def period(self) -> np.ndarray:
-        """Period of each variable [n]: pi for ply angles, 0 (none) for others."""
+        """Period of each variable [n]: pi for ply angles, of links a multiple; 0 (none) for others."""
         return self._with_bound(self.space.period, 0.0)
 
     @property

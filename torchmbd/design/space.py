@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence, Sized
+from fractions import Fraction
 from typing import Any, Self
 
 import numpy as np
@@ -28,6 +29,8 @@ from torchmbd.multibody.system import System
 from torchmbd.optimization.optimizer import require_inside
 
 CONSTANT = "constant"  # key of a link's offset
+MOST_TURNS = 100  # of an entry within a common period
+ROUNDING = 1e-12  # of factors of links
 
 
 @checked_signature
@@ -59,7 +62,7 @@ class DesignSpace:
     ):
         if not isinstance(system, System):
             raise InputError(f"system is {system!r}; allowed: a System")
-        self._span(dict(system.named_parameters()), variables, bounds, start, links)
+        self._span(dict(system.named_parameters()), variables, bounds, start, links, periods_of(system))
 
     @classmethod
     def of_parameters(
@@ -71,11 +74,17 @@ class DesignSpace:
     ) -> Self:
         """The space of parameters by name, of one system, of several, or of none; all of them are variables."""
         space = cls.__new__(cls)
-        space._span(parameters, list(parameters), bounds, start, links)
+        space._span(parameters, list(parameters), bounds, start, links, {})
         return space
 
     def _span(
-        self, parameters: Mapping[str, Tensor], variables: Sequence[str] | None, bounds: Any, start: Any, links: Any
+        self,
+        parameters: Mapping[str, Tensor],
+        variables: Sequence[str] | None,
+        bounds: Any,
+        start: Any,
+        links: Any,
+        periods: Mapping[str, float],
     ) -> None:
         for name in variables or ():
             if name not in parameters:
@@ -100,6 +109,8 @@ class DesignSpace:
                     f"lower bound of {name} = {shown(name, low)}: must be below upper = {shown(name, high)}; allowed: equal"
                 )
         self.start = self.point("start", start, values)
+        #: How far each variable may move until all entries that follow it are the same again [n]; 0: never.
+        self.period = _common_periods(self.map, np.array([periods.get(_parameter(x), 0.0) for x in self.entries]))
 
     def _indices(self, parameter: str) -> list[int]:
         """Indices in b of the entries of a parameter."""
@@ -110,11 +121,6 @@ class DesignSpace:
         name = _parameter(self.names[indices[0]])
         free = ", ".join(self.names[i].removeprefix(name) for i in indices)
         return f" (of {free}; the others follow)" * (len(indices) < self.shapes[name].numel())
-
-    @property
-    def period(self) -> np.ndarray:
-        """Period of each variable [n]: pi for ply angles, 0 (none) for others."""
-        return np.array([math.pi if _parameter(name).rpartition(".")[2] == "angles" else 0.0 for name in self.names])
 
     def _bounds(self, bounds: Any) -> tuple[np.ndarray, np.ndarray]:
         if not isinstance(bounds, Mapping):
@@ -194,6 +200,38 @@ def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tup
         else:
             matrix[row, free.index(entry)] = 1.0
     return matrix, offset
+
+
+def periods_of(system: System) -> dict[str, float]:
+    """Name -> period [rad] of the parameters whose modules state one: pi of ply angles.
+
+    A parameter that several modules share repeats itself where it does so for each of them.
+    """
+    named = list(system.named_parameters(remove_duplicate=False))
+    shared: dict[int, list[float]] = {}
+    for name, x in named:
+        module, _, field = name.rpartition(".")
+        shared.setdefault(id(x), []).append(getattr(system.get_submodule(module), "periods", {}).get(field, 0.0))
+    return {name: period for name, x in named if (period := _common_multiple(shared[id(x)]))}
+
+
+def _common_periods(map: np.ndarray, periods: np.ndarray) -> np.ndarray:
+    """The period of each variable [n], from the map [entries, n] and the periods of all entries [entries]."""
+    entries, variables = np.nonzero(map)
+    each: list[list[float]] = [[] for _ in range(map.shape[1])]
+    for entry, variable in zip(entries, variables, strict=True):
+        each[variable].append(periods[entry] / abs(map[entry, variable]))
+    return np.array([_common_multiple(x) for x in each])
+
+
+def _common_multiple(periods: Sequence[float]) -> float:
+    """The least whole multiple of all periods; 0 where one of them is 0, or their ratio is not a simple fraction."""
+    if not all(periods):
+        return 0.0
+    ratios = [Fraction(x / periods[0]).limit_denominator(MOST_TURNS) for x in periods]
+    if any(abs(float(ratio) * periods[0] / x - 1.0) > ROUNDING for ratio, x in zip(ratios, periods, strict=True)):
+        return 0.0
+    return periods[0] * math.lcm(*(x.numerator for x in ratios)) / math.gcd(*(x.denominator for x in ratios))
 
 
 def _parameter(entry: str) -> str:

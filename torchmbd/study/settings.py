@@ -18,7 +18,7 @@ from torch import Tensor
 from torchmbd.design import Tradeoff
 from torchmbd.errors import InputError, argument_names, nearest, unknown
 from torchmbd.math.checked_numbers import positive
-from torchmbd.math.units import shown
+from torchmbd.math.units import QUANTITIES, shown
 from torchmbd.multibody.system import System
 from torchmbd.optimization import OPTIMIZERS, RobustProblem, Starts
 from torchmbd.optimization.api import FEASIBILITY, checked_box, require_limits
@@ -123,9 +123,8 @@ class StudySettings(Summary):
     def _columns(self, units: Mapping[str, str] | None) -> Columns:
         names = list(self.problem.names)
         names = names[:-1] if self.has_extra_variable else names
-        period = np.asarray(getattr(self.problem, "period", np.zeros(len(names))), dtype=float)
-        angles = {name.rpartition("[")[0]: "deg" for name, turn in zip(names, period, strict=False) if turn > 0.0}
         parameters = [name.rpartition("[")[0] or name for name in names]
+        angles = {name: "deg" for name in parameters if QUANTITIES.get(name.rpartition(".")[2]) == "rad"}
         if units is not None and not isinstance(units, Mapping):
             raise InputError(f"units is {units!r}; allowed: parameter -> unit")
         for parameter, unit in (units or {}).items():

@@ -19,8 +19,8 @@ Methods Appl. Mech. Engrg. 353 (2019) 277-307. Checked in tests/extensions/fiber
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -63,6 +63,9 @@ class SteeredLaminate(Laminate):
     >>> laminate.layer_angles.shape  # of each cell
     torch.Size([64, 2])
     """
+
+    #: An angle of one control enters means of several controls, which half a turn of it alone changes.
+    periods: ClassVar[Mapping[str, float]] = {}
 
     def __init__(
         self,

@@ -29,7 +29,8 @@ Checked in tests/fem/materials/test_laminate.py.
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -105,6 +106,8 @@ class Laminate(nn.Module):
     """
 
     positive: ClassVar[tuple[str, ...]] = ("thickness",)  # parameters that are, whatever the design
+    #: Parameter -> how far an entry of it may turn until every number of the laminate is the same again [rad].
+    periods: ClassVar[Mapping[str, float]] = {"angles": math.pi}
     angles: Tensor
     thickness: Tensor
     field: Any = None  # a FiberField, where parameters vary over a mesh (fem/elements)

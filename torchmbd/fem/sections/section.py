@@ -23,7 +23,8 @@ Checked in tests/fem/sections/test_section_*.py, tests/validation/test_sections_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
@@ -69,6 +70,8 @@ class Section(nn.Module):
 
     #: Parameters that are positive in any design.
     positive: ClassVar[tuple[str, ...]] = ("width", "height", "radius", "crown", "thickness")
+    #: Parameter -> how far an entry of it may turn until every number of the section is the same again [rad].
+    periods: ClassVar[Mapping[str, float]] = {"angles": math.pi}
     angles: Tensor
     _constant: Tensor
 
