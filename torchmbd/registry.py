@@ -40,12 +40,13 @@ class Registry(MutableMapping[str, T]):
 
     def missing(self, name: str) -> str | None:
         """Why a name of extensions is not there; None if it is, or if no extension has it."""
-        if name in self._entries:
-            return None
+        unknown = name not in self._entries and _tables() is None  # nobody knows whether an extension has it
+        return f"{EXTENSIONS} is not installed" if unknown else self.absence(name)
+
+    def absence(self, name: str) -> str | None:
+        """The text "the extension X is not installed" for a name of that extension; None for other names."""
         tables = _tables()
-        if tables is None:
-            return f"{EXTENSIONS} is not installed"
-        entry = tables.ENTRIES[self._name].get(name)
+        entry = None if name in self._entries or tables is None else tables.ENTRIES[self._name].get(name)
         return None if entry is None else _absence(entry)
 
     def name_of(self, kind: object) -> str | None:

@@ -89,7 +89,7 @@ def test_without_the_folder_eager_serves_and_native_is_refused(monkeypatch):
 @pytest.mark.extensions  # the folder is there, native code is not
 def test_without_native_code_it_is_refused_by_name(monkeypatch):
     without(monkeypatch, "native")
-    with pytest.raises(InputError, match=r"allowed: auto, eager; the extension native is not installed"):
+    with pytest.raises(InputError, match=r"= 'native': the extension native is not installed\. Try: 'auto' or 'eager'"):
         motion(PENDULUM, "native")
     with pytest.raises(InputError, match=r"'cuda' does not exist; allowed: auto, eager$"):
         motion(PENDULUM, "cuda")

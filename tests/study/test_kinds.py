@@ -108,7 +108,7 @@ def test_another_kind_is_no_study(counted, file):
         (None, r"line 2: weigh unknown key; allowed: .*; torchmbd\.extensions is not installed"),
         pytest.param(
             SimpleNamespace(NEEDS={}, ENTRIES={"experiments": {"weigh": "scales_of_others:WEIGH"}}),
-            r"line 2: weigh unknown key; allowed: .*; the extension scales_of_others is not installed",
+            r"1 error\n +line 2: weigh: the extension scales_of_others is not installed$",
             marks=pytest.mark.extensions,  # the folder is there, an extension is not
         ),
         (
@@ -123,6 +123,36 @@ def test_a_section_of_a_missing_extension_is_said(file, monkeypatch, tables, tex
     file.write_text("model: model.py:build\nweigh: {on: scales}\n", encoding="utf-8")
     with pytest.raises(StudyError, match=text):
         load(file)
+
+
+@pytest.mark.extensions
+@pytest.mark.parametrize(
+    ("section", "fault"),
+    [
+        ({"minimize": {"wear": {"body": "rod"}}}, "minimize.wear: the extension scales_of_others is not installed"),
+        (
+            {"minimize": {"sum": [{"mass": "rod"}, {"wear": {"body": "rod"}}]}},
+            "minimize.sum.1.wear: the extension scales_of_others is not installed",
+        ),
+        (
+            {"subject_to": [{"max": {"dust": "rod"}, "at_most": 1.0}]},
+            "subject_to.0.max.dust: the extension scales_of_others is not installed",
+        ),
+        (
+            {"simulate": {"duration": 0.01, "backend": "gpu"}},
+            "simulate.backend = 'gpu': the extension scales_of_others is not installed. Try: 'auto' or 'eager' or 'native'",
+        ),
+    ],
+)
+def test_every_name_of_a_missing_extension_is_said(write, monkeypatch, section, fault):
+    """With the extension alone: no name that resembles it, no other fault."""
+    place = "scales_of_others:Scale"
+    entries = {"of_design": {"wear": place}, "responses": {"dust": place}, "backends": {"gpu": place}}
+    tables = SimpleNamespace(NEEDS={}, ENTRIES={"experiments": {}, "combinators": {}, **entries})
+    monkeypatch.setattr(registry, "_tables", lambda: tables)
+    with pytest.raises(StudyError) as refusal:
+        load(write(**section))
+    assert [line.partition(": ")[2] for line in str(refusal.value).splitlines()[1:]] == [fault]
 
 
 def test_a_misspelt_section_is_told_beside_other_faults_without_extensions(file, monkeypatch):

@@ -237,7 +237,11 @@ def _name_and_options(spec: Any, names: Collection[str], path: Path) -> tuple[st
         raise SpecError(path, f"has {len(known)} keys; must have exactly one{nearest('', names)}")
     # Of several keys the name is the one that resembles a name: the others are its options, such as a window.
     key = max(spec, key=lambda key: max(SequenceMatcher(None, str(key), name).ratio() for name in names))
-    missing = next((f"; {why}" for x in (RESPONSES, COMBINATORS, OF_DESIGN) if (why := x.missing(key))), "")
+    registries = (RESPONSES, COMBINATORS, OF_DESIGN)
+    for absent in spec:  # a name of an extension, whatever its options resemble
+        if absence := next((why for x in registries if (why := x.absence(str(absent)))), None):
+            raise SpecError((*path, absent), f": {absence}")
+    missing = next((f"; {why}" for x in registries if (why := x.missing(key))), "")
     raise SpecError((*path, key), f"unknown name{nearest(key, names)}{missing}")
 
 

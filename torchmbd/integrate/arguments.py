@@ -113,6 +113,8 @@ def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
 def check_backend(backend: Any) -> None:
     """InputError for a backend that does not exist, or is not installed."""
     names = ["auto", *BACKENDS]
+    if isinstance(backend, str) and (absence := BACKENDS.absence(backend)):
+        raise InputError(f"backend = {backend!r}: {absence}. Try: {' or '.join(map(repr, names))}")
     if isinstance(backend, str) and backend not in names and (missing := BACKENDS.missing(backend)):
         raise InputError(f"{unknown('backend', backend, names)}; {missing}")
     one_of("backend", backend, names)

@@ -45,6 +45,8 @@ def read_experiment(source: Source) -> tuple[Kind, Any]:
     """Return what the contents of a file ask for, with its kind."""
     forget_files()
     document = source.document
+    if absent := _absent(document.data):
+        raise StudyError(document.source, located(absent, document.lines))
     kind = kind_of(document.data)
     sections, faults = validate(document.data, kind.sections)
     experiment: Any = kind.read(source, sections, [_with_absence(fault) for fault in faults])
@@ -59,8 +61,17 @@ def kind_of(data: Any) -> Kind:
     return next((KINDS[section] for section in KINDS if section in keys), STUDY)
 
 
+def _absent(data: Any) -> list[Fault]:
+    """The sections by which a file is of a kind that an extension has which is not installed.
+
+    Other sections of such a file cannot be checked, as they are those of its kind.
+    """
+    keys = [str(key) for key in data] if isinstance(data, dict) else []
+    return [Fault((key,), f": {absence}") for key in keys if (absence := KINDS.absence(key))]
+
+
 def _with_absence(fault: Fault) -> Fault:
-    """The fault of an unknown section, with the extension that may know it where this is not installed."""
+    """The fault of an unknown section, with a hint where no extension is installed that might know it."""
     unknown = len(fault.path) == 1 and fault.text.startswith("unknown key")
     absence = KINDS.missing(str(fault.path[0])) if unknown else None
     return replace(fault, text=f"{fault.text}; {absence}") if absence else fault
