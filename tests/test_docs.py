@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
+import torchmbd
 from experiments.documentation import links
 from tests.page_blocks import blocks, commands, run
 from torchmbd import cli
@@ -83,6 +85,14 @@ def test_the_site_is_built_without_a_warning_and_its_links_lead_somewhere(tmp_pa
 
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_bytes()) <= 6_000
+
+
+def test_the_citation_names_this_version_and_no_person_as_author():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert (citation["title"], str(citation["version"])) == ("torchmbd", torchmbd.__version__)
+    assert [set(author) for author in citation["authors"]] == [{"name"}]  # persons have family-names
+    (paper,) = citation["references"]
+    assert [author["family-names"] for author in paper["authors"]] == ["Ambrósio", "Neto", "Leal"]
 
 
 def test_the_file_of_the_how_to_page_is_the_shipped_one():
