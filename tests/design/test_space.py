@@ -178,3 +178,20 @@ def test_tolerances_narrow_the_bounds_of_what_does_not_repeat_itself():
     )
     robust = mbd.RobustProblem(problem, 0.1)
     assert robust.upper == pytest.approx([0.9] * 2 + [1.0] * 3)
+
+
+@pytest.mark.thorough
+def test_many_variables_have_no_matrix_of_all_pairs():
+    """100,000 gains of a controller; a matrix of n x n numbers would have 80 GB."""
+    n = 100_000
+    parameters = {"gains": torch.zeros(n, dtype=torch.float64), "rest": torch.zeros(2, dtype=torch.float64)}
+    links = {f"gains[{k}]": {f"gains[{k - 1}]": -1.0, "constant": 0.5} for k in range(1, 1000, 2)}
+    space = DesignSpace.of_parameters(parameters, (-1.0, 1.0), links=links)
+    assert len(space.names) == n + 2 - 500
+    x = np.random.default_rng(1).uniform(-1.0, 1.0, (2, len(space.names)))
+    entries = torch.cat(list(space.designs(x).values()), 1)
+    assert_close(entries[:, 1:1000:2], 0.5 - entries[:, 0:1000:2])
+    by_entries = np.random.default_rng(2).normal(size=(2, 3, n + 2))
+    slopes = space.slopes(by_entries)
+    np.testing.assert_array_equal(slopes[..., :500], by_entries[..., 0:1000:2] - by_entries[..., 1:1000:2])
+    np.testing.assert_array_equal(slopes[..., 500:], by_entries[..., 1000:])

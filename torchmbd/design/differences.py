@@ -19,7 +19,7 @@ import numpy as np
 
 from torchmbd.errors import InputError, checked_signature, unknown
 from torchmbd.optimization import Evaluation
-from torchmbd.optimization.optimizer import as_numbers, require_problem
+from torchmbd.optimization.optimizer import as_numbers, require_few, require_problem
 
 SCHEMES = ("central", "forward")
 
@@ -83,6 +83,7 @@ class Differences:
         if scheme not in SCHEMES:
             raise unknown("scheme", scheme, SCHEMES)
         require_problem(problem)
+        require_few("Differences", len(problem.names), "the gradients of the problem itself")
         self._problem, self.step, self.scheme = problem, _steps(step, len(problem.names)), scheme
 
     def __getattr__(self, name: str) -> Any:

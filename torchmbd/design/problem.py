@@ -168,7 +168,7 @@ class Problem(Summary):
         space, responses = self.space, [self.objective, *self.constraints]
         motion = [self.system, self.simulation, self.duration, self.gradients, self.chooses_steps and self.tolerance]
         unit_of_rows = [space.lower, space.upper, tuple(map(float, self._bound))] if self.peaks else []
-        return [*motion, responses, space.map, space.offset, space.variables, space.start, *unit_of_rows]
+        return [*motion, responses, space.links, space.offset, space.variables, space.start, *unit_of_rows]
 
     @property
     def rows(self) -> int:
@@ -393,7 +393,7 @@ class Problem(Summary):
     def _unscaled(self, motions: Sequence[Trajectory], measures: Sequence[Measure]) -> Rows:
         """Rows of measures [lanes, rows], in their units, with gradients [lanes, rows, n] of motions that have them."""
         measured = differentiate(partial(self._measured, measures), motions[0])
-        slopes = None if measured.gradient is None else measured.gradient.numpy() @ self.space.map
+        slopes = None if measured.gradient is None else self.space.slopes(measured.gradient.numpy())
         return measured.value.numpy(), slopes
 
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:

@@ -323,7 +323,7 @@ class Scenarios(Problem):
         lanes = sum(motion.lanes for motion in motions) // len(self.scenarios)
         by_group = [x.value.numpy() for x in measured]
         values = self.in_scenario_order([x.reshape(lanes, -1, x.shape[1]) for x in by_group])
-        by_group = [x.gradient.numpy() @ self.space.map for x in measured if x.gradient is not None]
+        by_group = [self.space.slopes(x.gradient.numpy()) for x in measured if x.gradient is not None]
         slopes = None
         if by_group:
             slopes = self.in_scenario_order([x.reshape(lanes, -1, *x.shape[1:]) for x in by_group])

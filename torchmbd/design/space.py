@@ -5,7 +5,7 @@ b [n] = (rod.laminate.angles[0], rod.laminate.angles[1], ..., rod.laminate.thick
 Linked entries are linear functions of other entries and no part of b:
 
     links={"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}}      a balanced pair +-theta
-    all entries = map @ b + offset
+    all entries = map @ b + offset          map [entries, n], sparse: one number in the row of each entry that is free
 
 Links are not needed for bodies that share a laminate, nor for a laminate with symmetric=True.
 Checked in tests/design/test_space.py.
@@ -16,10 +16,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence, Sized
 from fractions import Fraction
-from typing import Any, Self
+from functools import cached_property
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import torch
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature, nearest, unknown
@@ -31,6 +33,14 @@ from torchmbd.optimization.optimizer import require_inside
 CONSTANT = "constant"  # key of a link's offset
 MOST_TURNS = 100  # of an entry within a common period
 ROUNDING = 1e-12  # of factors of links
+
+
+class Links(NamedTuple):
+    """The numbers of the map from variables to entries, in the order of entries: one 1 for each entry that is free."""
+
+    entry: np.ndarray
+    variable: np.ndarray
+    factor: np.ndarray
 
 
 @checked_signature
@@ -98,9 +108,12 @@ class DesignSpace:
             )
         self.shapes = {name: parameters[name].shape for name in self.variables}
         self.entries = [f"{name}[{i}]" for name in self.variables for i in range(parameters[name].numel())]
-        self.map, self.offset = _linked(self.entries, links or {})
+        self.links, self.offset = _linked(self.entries, links or {})
         free = [i for i, entry in enumerate(self.entries) if entry not in (links or {})]
         self.names = [self.entries[i] for i in free]
+        self._places: dict[str, list[int]] = {}
+        for i, name in enumerate(self.names):
+            self._places.setdefault(_parameter(name), []).append(i)
         values = torch.cat([parameters[name].detach().flatten() for name in self.variables]).numpy()[free]
         self.lower, self.upper = self._bounds(bounds)
         for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
@@ -110,11 +123,23 @@ class DesignSpace:
                 )
         self.start = self.point("start", start, values)
         #: How far each variable may move until all entries that follow it are the same again [n]; 0: never.
-        self.period = _common_periods(self.map, np.array([periods.get(_parameter(x), 0.0) for x in self.entries]))
+        of_entries = np.array([periods.get(_parameter(x), 0.0) for x in self.entries])
+        self.period = _common_periods(self.links, of_entries, len(self.names))
 
     def _indices(self, parameter: str) -> list[int]:
         """Indices in b of the entries of a parameter."""
-        return [i for i, label in enumerate(self.names) if _parameter(label) == parameter]
+        return self._places.get(parameter, [])
+
+    @cached_property
+    def map(self) -> csr_array:
+        """Derivatives of all entries by the variables [entries, n]."""
+        entry, variable, factor = self.links
+        return csr_array((factor, (entry, variable)), (len(self.entries), len(self.names)))
+
+    def slopes(self, by_entries: np.ndarray) -> np.ndarray:
+        """Derivatives by the variables [..., n], from those by all entries [..., entries]."""
+        flat = by_entries.reshape(-1, len(self.entries)) @ self.map
+        return np.ascontiguousarray(flat).reshape(*by_entries.shape[:-1], len(self.names))
 
     def _free(self, indices: Sequence[int]) -> str:
         """Which entries of a parameter are free, "" if all are."""
@@ -163,7 +188,7 @@ class DesignSpace:
         free = np.asarray(X, dtype=float)
         if free.ndim != 2 or free.shape[1] != len(self.names):
             raise InputError(f"designs have shape {free.shape}; allowed: [lanes, {len(self.names)}]")
-        rows = torch.from_numpy(free @ self.map.T + self.offset)
+        rows = torch.from_numpy(np.ascontiguousarray(free @ self.map.T) + self.offset)
         result, start = {}, 0
         for name, shape in self.shapes.items():
             size = shape.numel()
@@ -172,23 +197,25 @@ class DesignSpace:
         return result
 
 
-def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tuple[np.ndarray, np.ndarray]:
-    """The map [entries, n] from the free entries to all entries, and the offset [entries]."""
+def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tuple[Links, np.ndarray]:
+    """The numbers of the map from the free entries to all entries, and the offset [entries]."""
     if not isinstance(links, Mapping):
         raise InputError(f"links is {links!r}; allowed: entry -> {{entry: factor, ...}}")
-    free = [entry for entry in entries if entry not in links]
+    free = {entry: k for k, entry in enumerate(entry for entry in entries if entry not in links)}
+    known = set(entries)
     for linked, terms in links.items():
-        if linked not in entries:
+        if linked not in known:
             raise InputError(f"links: {linked} is no entry of a design variable{nearest(linked, entries)}")
         if not isinstance(terms, Mapping):
             raise InputError(f"link of {linked!r} is {terms!r}; allowed: a mapping {{entry: factor}}")
         for source in terms:
-            if source not in (*free, CONSTANT):
+            if source not in free and source != CONSTANT:
                 leaders = nearest(source, [*free, CONSTANT])
                 raise InputError(f"link of {linked}: {source} is no entry that follows none itself{leaders}")
     if not free:
         raise InputError("links leave no entry free; allowed: one at least")
-    matrix, offset = np.zeros((len(entries), len(free))), np.zeros(len(entries))
+    numbers: list[tuple[int, int, float]] = []
+    offset = np.zeros(len(entries))
     for row, entry in enumerate(entries):
         if entry in links:
             for source, factor in links[entry].items():
@@ -196,10 +223,11 @@ def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tup
                 if source == CONSTANT:
                     offset[row] = value
                 else:
-                    matrix[row, free.index(source)] = value
+                    numbers.append((row, free[source], value))
         else:
-            matrix[row, free.index(entry)] = 1.0
-    return matrix, offset
+            numbers.append((row, free[entry], 1.0))
+    rows, columns, factors = zip(*sorted(numbers), strict=True)
+    return Links(np.array(rows), np.array(columns), np.array(factors)), offset
 
 
 def periods_of(system: System) -> dict[str, float]:
@@ -215,12 +243,12 @@ def periods_of(system: System) -> dict[str, float]:
     return {name: period for name, x in named if (period := _common_multiple(shared[id(x)]))}
 
 
-def _common_periods(map: np.ndarray, periods: np.ndarray) -> np.ndarray:
-    """The period of each variable [n], from the map [entries, n] and the periods of all entries [entries]."""
-    entries, variables = np.nonzero(map)
-    each: list[list[float]] = [[] for _ in range(map.shape[1])]
-    for entry, variable in zip(entries, variables, strict=True):
-        each[variable].append(periods[entry] / abs(map[entry, variable]))
+def _common_periods(links: Links, periods: np.ndarray, count: int) -> np.ndarray:
+    """The period of each of `count` variables, from the periods of all entries [entries]."""
+    each: list[list[float]] = [[] for _ in range(count)]
+    for entry, variable, factor in zip(*links, strict=True):
+        if factor:
+            each[variable].append(periods[entry] / abs(factor))
     return np.array([_common_multiple(x) for x in each])
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from torchmbd.optimization.finer_motions import Begin, counted_from, search_with
 from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.least_infeasible import least_infeasible
 from torchmbd.optimization.optimizer import (
+    MOST_DENSE,
     Box,
     Ending,
     Iterate,
@@ -29,6 +31,7 @@ from torchmbd.optimization.optimizer import (
     find_method,
     require_count,
     require_inside,
+    require_method_of_size,
     require_problem,
     require_range,
 )
@@ -84,6 +87,7 @@ def optimize(
     """
     function = find_method(method, options, argument_names(optimize))
     x, lower, upper = checked_box(problem, start)
+    require_method_of_size(method, x.size)
     require_limits(max_iterations, max_analyses)
     require_range("feasibility", feasibility, 0.0, 1.0)
     scaling = true_or_false("scaling", scaling)
@@ -165,7 +169,13 @@ def tolerance_of(function: Method, options: dict[str, Any]) -> float:
 def restore_feasibility(
     search: Search, ending: Ending, function: Method, max_iterations: int, options: dict[str, Any]
 ) -> Ending:
-    """Find the least infeasible design: run the method from there if it is feasible, else name the conflicting constraints."""
+    """Find the least infeasible design: run the method from there if it is feasible, else name the conflicting constraints.
+
+    The search for it has matrices of n x n numbers, so it is left out, with a word, for many variables.
+    """
+    if search.size > MOST_DENSE:
+        word = f"which constraints conflict is not known for more than {MOST_DENSE:,} variables"
+        return replace(ending, message=f"{ending.message}; {word}")
     least = least_infeasible(search, reported_design(search, ending)[0])
     remaining = max_iterations - (len(search.history) - 1)
     if least.violation <= search.feasibility and remaining > 0:

@@ -302,14 +302,35 @@ Method = Callable[..., Ending]
 OPTIMIZERS: dict[str, Method] = {}
 
 
-def register(name: str) -> Callable[[Method], Method]:
-    """Put a method into the registry under `name`."""
+DENSE: set[str] = set()  # names of the methods that hold matrices of n x n numbers
+MOST_DENSE = 5_000  # variables of these: each matrix has 0.2 GB, and a step factorizes some of them
+
+
+def register(name: str, dense: bool = False) -> Callable[[Method], Method]:
+    """Put a method into the registry under `name`; dense: it holds matrices of n x n numbers."""
 
     def enter(method: Method) -> Method:
         OPTIMIZERS[name] = method
+        DENSE.update([name] * dense)
         return method
 
     return enter
+
+
+def require_few(what: str, size: int, remedy: str) -> None:
+    """Raise InputError for more variables than matrices of n x n numbers are made for."""
+    if size > MOST_DENSE:
+        raise InputError(
+            f"{what}: must not have more than {MOST_DENSE:,} design variables, for its matrices of n x n numbers; these are "
+            f"{size:,}. Try: {remedy}"
+        )
+
+
+def require_method_of_size(method: str, size: int) -> None:
+    """Raise InputError for a method whose matrices do not fit to so many variables."""
+    others = " or ".join(repr(name) for name in OPTIMIZERS if name not in DENSE)
+    if method in DENSE:
+        require_few(f"method = {method!r}", size, f"method = {others}, or links between variables")
 
 
 def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = ()) -> Method:

@@ -38,6 +38,7 @@ from torchmbd.optimization.optimizer import (
     OptimizationResult,
     find_method,
     require_count,
+    require_method_of_size,
     require_problem,
     require_range,
 )
@@ -163,6 +164,7 @@ def pareto_front(
     require_range("feasibility", feasibility, 0.0, 1.0)
     everywhere = true_or_false("everywhere", everywhere)
     require_problem(problem)
+    require_method_of_size(method, len(problem.names))
     if len(getattr(problem, "criteria", ())) < 2:
         raise InputError(f"problem is {problem!r}; a front needs two criteria at least, such as mbd.Tradeoff(...) has")
     box = checked_box(problem)

@@ -29,7 +29,7 @@ import numpy as np
 from torchmbd.errors import InputError, checked_signature, unknown
 from torchmbd.optimization.api import checked_box
 from torchmbd.optimization.extra_variable import ExtraVariable
-from torchmbd.optimization.optimizer import Evaluation, NonlinearProgram, as_numbers, require_inside
+from torchmbd.optimization.optimizer import Evaluation, NonlinearProgram, as_numbers, require_few, require_inside
 
 KINDS = ("expected", "worst")
 NODE, OUTER = np.sqrt(0.6), 5.0 / 18.0  # of the Gauss rule of three points on [-1, 1], weights of sum one
@@ -75,6 +75,7 @@ class RobustProblem:
         require_inside("start (inside the bounds by tolerance)", self.names, self.lower, start, self.upper)
         self.problem, self.kind, self.start = problem, kind, start
         self.tolerance = d
+        require_few("tolerance", int(np.count_nonzero(d)), "tolerance = 0 of variables that matter less")
         self.shifts, self.weights = _expected(d) if kind == "expected" else _corners(d)
         self.has_extra_variable = kind == "worst"
         self.extra = ExtraVariable(0)
@@ -182,8 +183,10 @@ class RobustProblem:
 def _expected(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return shifts [k, n] and weights [k]; only variables with a tolerance are moved."""
     moved = np.flatnonzero(d)
-    sides = [sign * NODE * d[i] * np.eye(d.size)[i] for i in moved for sign in (-1.0, 1.0)]
-    return np.array([np.zeros(d.size), *sides]), np.array([1.0 - 2.0 * OUTER * moved.size, *[OUTER] * len(sides)])
+    shifts = np.zeros((1 + 2 * moved.size, d.size))
+    for k, sign in enumerate((-1.0, 1.0), start=1):
+        shifts[np.arange(k, len(shifts), 2), moved] = sign * NODE * d[moved]
+    return shifts, np.array([1.0 - 2.0 * OUTER * moved.size, *[OUTER] * (2 * moved.size)])
 
 
 def _corners(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

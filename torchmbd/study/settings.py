@@ -25,7 +25,14 @@ from torchmbd.optimization.api import FEASIBILITY, checked_box, require_limits
 from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.sampling import recipe, starts_at
-from torchmbd.optimization.optimizer import find_method, require_count, require_inside, require_problem, require_range
+from torchmbd.optimization.optimizer import (
+    find_method,
+    require_count,
+    require_inside,
+    require_method_of_size,
+    require_problem,
+    require_range,
+)
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.optimization.search import TIMES
 from torchmbd.results.answer import Verification
@@ -105,6 +112,8 @@ class StudySettings(Summary):
         self.uri: StoreURI | None = None if uri is None else checked_uri(uri)
         self.columns = self._columns(units)
         self._start = checked_box(problem)[0]
+        if sweep is None:
+            require_method_of_size(method, self._start.size)
         if starts is not None and not isinstance(starts, Starts):  # extra variables begin as those of the start
             count = len(self.columns.names)
             full = [np.asarray(point, dtype=float).reshape(-1) for point in starts]

@@ -152,4 +152,5 @@ def _set_design(study: StudySettings, data: object, source: str, lines: dict) ->
     if faults:
         raise StudyError(source, located(faults, lines))
     entries = np.concatenate(parts)
-    return entries[[problem.space.entries.index(name) for name in problem.space.names]]
+    places = {name: k for k, name in enumerate(problem.space.entries)}
+    return entries[[places[name] for name in problem.space.names]]

@@ -159,8 +159,9 @@ class FitProblem:
         result = {}
         for local, name in names.items():
             [entry] = [i for i, x in enumerate(self.space.entries) if x == f"{name}[0]"]
-            moves = np.flatnonzero(self.space.map[entry])
-            ends = self.space.map[entry][moves] * np.stack([self.lower[moves], self.upper[moves]])
+            of_entry = self.space.links.entry == entry
+            moves, factors = self.space.links.variable[of_entry], self.space.links.factor[of_entry]
+            ends = factors * np.stack([self.lower[moves], self.upper[moves]])
             constant = self.space.offset[entry]
             result[local] = float(ends.min(0).sum() + constant), float(ends.max(0).sum() + constant)
         return result
@@ -306,7 +307,7 @@ class FitProblem:
         notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
         values, jacobian = np.concatenate([value, prior]), None
         if gradients:
-            slopes = np.concatenate([part.jacobian for part in parts if part.jacobian is not None]) @ self.space.map
+            slopes = self.space.slopes(np.concatenate([part.jacobian for part in parts if part.jacobian is not None]))
             of_priors = np.eye(len(x))[self.prior_rows] / self.prior_deviation[:, None]
             jacobian = np.concatenate([slopes / self.deviations[:, None], of_priors])
         for numbers, what in ((values, "a residual"), (jacobian, "the derivative of a residual")):

@@ -92,4 +92,4 @@ def fit_key(problem: FitProblem) -> str:
         parts += [name, experiment.system, experiment.settings, experiment.duration, experiment.simulation]
         parts += [list(measurement.unknowns) for measurement in experiment.measurements]
         parts += [vars(measurement) for measurement in experiment.measurements]
-    return digest(parts, problem.space.entries, problem.space.map, problem.space.offset, ignored=unknown)
+    return digest(parts, problem.space.entries, problem.space.links, problem.space.offset, ignored=unknown)

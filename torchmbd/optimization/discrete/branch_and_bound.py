@@ -38,6 +38,7 @@ from torchmbd.optimization.optimizer import (
     largest_violation,
     rank,
     require_count,
+    require_method_of_size,
 )
 from torchmbd.optimization.search import EvaluateBatch, Report, Search
 from torchmbd.optimization.units import variable_scale
@@ -269,6 +270,7 @@ def optimize_discrete(
     require_count("max_boxes", max_boxes, 0, 1_000_000)
     require_count("max_neighbors", max_neighbors, 0, 1_000_000)
     box = checked_box(problem)
+    require_method_of_size(method, box[0].size)
     grid = Grid(problem, allowed, box[1], box[2], getattr(problem, "period", None), admits)
     cache = MemoryCachedProblem(problem)
     relaxed = multistart(

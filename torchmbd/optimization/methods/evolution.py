@@ -26,7 +26,7 @@ NARROWER = 1e-2  # factor of the option tol where the best design of a narrow po
 ROUNDING = 1e-15  # of the objective: a population that narrow cannot become narrower
 
 
-@register("differential_evolution")
+@register("differential_evolution", dense=True)
 def evolution(
     search: Search, max_iterations: int, *, population: int = 15, tol: float = 1e-8, seed: int = 0, kkt: float = 1e-3
 ) -> Ending:

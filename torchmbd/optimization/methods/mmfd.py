@@ -292,7 +292,7 @@ def penalty(weights: np.ndarray, direction: Direction, evaluation: Evaluation, B
     return np.maximum(0.5 * weights, needed)
 
 
-@register("mmfd")
+@register("mmfd", dense=True)
 def mmfd(
     search: Search,
     max_iterations: int,

@@ -24,7 +24,7 @@ SENTENCES = {
 }
 
 
-@register("slsqp")
+@register("slsqp", dense=True)
 def slsqp(search: Search, max_iterations: int, *, ftol: float = 1e-6, kkt: float = 1e-3) -> Ending:
     """Run SLSQP on one start. `ftol`: SciPy's; `kkt`: Kuhn-Tucker residual of an optimum."""
     require_range("ftol", ftol, 1e-16, 1.0)

@@ -20,7 +20,7 @@ INSIDE = 1e-2  # distance of the start from the bounds, of the variable's size
 BARRIER = 0.1
 
 
-@register("trust-constr")
+@register("trust-constr", dense=True)
 def trust_constr(
     search: Search,
     max_iterations: int,

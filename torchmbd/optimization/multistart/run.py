@@ -45,6 +45,7 @@ from torchmbd.optimization.optimizer import (
     find_method,
     gain_text,
     require_count,
+    require_method_of_size,
     require_range,
 )
 from torchmbd.optimization.search import EvaluateBatch, Report, Search, deadline_of, is_over
@@ -268,6 +269,7 @@ def multistart(
     scaling = true_or_false("scaling", scaling)
     eager_gradients = true_or_false("eager_gradients", eager_gradients)
     initial, lower, upper = checked_box(problem)
+    require_method_of_size(method, initial.size)
     points = np.array([checked_box(problem, point)[0] for point in recipe(starts, initial).points(problem)])
     settings = {
         "scale": variable_scale(initial, lower, upper) if scaling else None,
