@@ -23,10 +23,10 @@ class Valley:
         n = X.shape[1]
         df, dc = 2.0 * (X - self.target) / n, np.full((1, n), 1.0 / n)
         values = np.square(X - self.target).mean(1)
-        return [
-            Evaluation(float(f), np.array([x.mean() - 0.2]), *((g, dc) if gradients else ()))
-            for f, x, g in zip(values, X, df, strict=True)
-        ]
+        rows = zip(values, X, df, strict=True)
+        if not gradients:
+            return [Evaluation(float(f), np.array([x.mean() - 0.2])) for f, x, _ in rows]
+        return [Evaluation(float(f), np.array([x.mean() - 0.2]), g, dc) for f, x, g in rows]
 
 
 @pytest.mark.thorough
