@@ -178,7 +178,9 @@ def _op4(file: Path) -> Iterator[tuple[str, LabeledMatrix | InputError]]:
             try:
                 columns, rows, _, kind = (int(head[8 * k : 8 * k + 8]) for k in range(4))
             except ValueError:
-                raise InputError(f"{where}: {head.strip()[:60]!r} is no header of an OP4 matrix") from None
+                raise InputError(
+                    f"{where}: {head.strip()[:60]!r} is not a header of an OP4 matrix. Try: OP4 as text, not binary"
+                ) from None
             name, style = head[32:40].strip(), _FORMAT.search(head[40:])
             try:
                 if kind not in (1, 2):

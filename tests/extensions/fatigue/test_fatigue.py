@@ -49,6 +49,13 @@ def test_the_example_of_the_standard(y):
     assert float(cycles.count.sum()) == 4.0
 
 
+@pytest.mark.parametrize("y", [[0.0, 1.0], [0.0, 0.5, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+def test_one_swing_is_half_a_cycle_however_it_is_sampled(y):
+    cycles = rainflow(y)
+    assert float(cycles.count[cycles.range == 1.0].sum()) == 0.5
+    assert float(cycles.count[cycles.range > 0.0].sum()) == 0.5
+
+
 @pytest.mark.thorough
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.lists(st.integers(-6, 6), min_size=12, max_size=12), min_size=1, max_size=4))

@@ -183,6 +183,8 @@ def test_a_shell_of_nastran(tmp_path):
         ("GRID,1,", "GRDSET,,5\nGRID,1,", "defaults of GRID"),
         ("CQUAD4,1,7,1,2,3,4", "CQUAD4,1,7,1,2,3,4,0.,.01", "CQUAD4 1 (plate.bdf, line 9): ZOFFS"),
         ("CTRIA3,2,7,4,3,5", "CTRIA3,2,7,4,3,5,0.,.01", "CTRIA3 2 (plate.bdf, line 10): ZOFFS"),
+        ("CQUAD4,1,7,1,2,3,4", "CQUAD4,1,7,1,2,3,4,45.", "CQUAD4 1 (plate.bdf, line 9): THETA = 45."),
+        ("CTRIA3,2,7,4,3,5", "CTRIA3,2,7,4,3,5,5", "CTRIA3 2 (plate.bdf, line 10): THETA = 5"),
         ("SPC1", "CONM2,9,3,0,5.\nSPC1", "CONM2 9 (plate.bdf, line 13)"),
         ("SPC1", "RBE2,9,1,123,2\nSPC1", "RBE2 9 (plate.bdf, line 13)"),
         ("SPC1", "CELAS2,9,1.,1,1,2,1\nSPC1", "CELAS2 9 (plate.bdf, line 13)"),
@@ -217,6 +219,39 @@ def test_physical_groups_of_gmsh(tmp_path):
     assert mesh.node_set("root") == (0, 5)
     assert zones["web"].tolist() == [2]
     assert float(mesh.nodes[mesh.quads[0]][..., 0].max()) == 1.0
+
+
+GROUPS = '$PhysicalNames\n2\n2 1 "all"\n2 2 "left"\n$EndPhysicalNames\n'
+SIX = "0 0 0\n1 0 0\n2 0 0\n0 1 0\n1 1 0\n2 1 0\n"
+
+
+def test_a_surface_in_two_groups_of_gmsh_counts_once(tmp_path):
+    """Format 4.1 names both groups of a surface; format 2.2 writes its cells once for each group, which is refused."""
+    file = tmp_path / "plate.msh"
+    entities = "$Entities\n0 0 2 0\n1 0 0 0 1 1 0 2 1 2 0\n2 1 0 0 2 1 0 1 1 0\n$EndEntities\n"
+    nodes = f"$Nodes\n1 6 1 6\n2 1 0 6\n1\n2\n3\n4\n5\n6\n{SIX}$EndNodes\n"
+    cells = "$Elements\n2 2 1 2\n2 1 3 1\n1 1 2 5 4\n2 2 3 1\n2 2 3 6 5\n$EndElements\n"
+    file.write_text(f"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n{GROUPS}{entities}{nodes}{cells}")
+    mesh, zones = mesh_file(file)
+    assert float(mesh.areas.sum()) == pytest.approx(2.0)
+    assert {name: members.tolist() for name, members in zones.items()} == {"all": [0, 1], "left": [0]}
+    numbered = "".join(f"{k} {line}\n" for k, line in enumerate(SIX.splitlines(), start=1))
+    cells = "$Elements\n3\n1 3 2 1 1 1 2 5 4\n2 3 2 2 1 1 2 5 4\n3 3 2 1 2 2 3 6 5\n$EndElements\n"
+    file.write_text(f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n{GROUPS}$Nodes\n6\n{numbered}$EndNodes\n{cells}")
+    with pytest.raises(InputError, match="quad 0 and quad 1 are duplicates"):
+        mesh_file(file)
+
+
+@pytest.mark.parametrize(("kind", "nodes"), [(18, 15), (13, 18)])
+def test_wedges_of_gmsh_are_refused(kind, nodes, tmp_path):
+    """meshio cannot read those of 15 nodes, and leaves the nodes of the others in gmsh's order."""
+    places = "".join(f"{k} {np.cos(k)} {np.sin(k)} {k}\n" for k in range(1, nodes + 1))
+    cell = f"1 {kind} 2 1 1 {' '.join(map(str, range(1, nodes + 1)))}"
+    head = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
+    file = tmp_path / "solid.msh"
+    file.write_text(f"{head}$Nodes\n{nodes}\n{places}$EndNodes\n$Elements\n1\n{cell}\n$EndElements\n")
+    with pytest.raises(InputError, match=f"solid.msh: .*wedge{nodes}"):
+        mesh_file(file)
 
 
 def test_what_cannot_be_read_is_refused(tmp_path):

@@ -110,5 +110,7 @@ def test_inertias_that_differ_are_named():
     with pytest.warns(UserWarning, match=r"CONM2 9 .*\[1.0, 2.0, 3.0\].*taken as 2 about any axis"):
         (mass,) = data("GRID,1,,0.,0.,0.\nCONM2,9,1,,5.\n,1.,,2.,,,3.").masses
     assert mass.rotary == pytest.approx(2.0)
+    with pytest.warns(UserWarning, match=r"CONM2 9 .*products \[0.5, 0.0, 0.0\]; taken as 2 about any axis"):
+        data("GRID,1,,0.,0.,0.\nCONM2,9,1,,5.\n,2.,.5,2.,,,2.")
     with pytest.raises(InputError, match="CID is -1"):
         data("GRID,1,,1.,0.,0.\nCONM2,9,1,-1,5.,0.,0.,0.")

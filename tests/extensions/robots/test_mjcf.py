@@ -168,7 +168,8 @@ def test_one_warning_lists_what_is_left_out(file):
     <joint name="h" armature=".1" springdamper="1 1" actuatorfrcrange="-1 1" dampng="1" springyield="1"/>
     <body name="b"><joint name="s" type="ball" damping="1"/><geom size=".1"/></body></body></worldbody>
     <tendon><fixed name="rope"><joint joint="h" coef="1"/></fixed></tendon>
-    <actuator><motor name="m" tendon="rope" delay=".1"/><muscle name="n" joint="h"/></actuator></mujoco>"""
+    <actuator><motor name="m" tendon="rope" delay=".1" damping="2" armature=".3"/>
+    <muscle name="n" joint="h"/></actuator></mujoco>"""
     with warnings.catch_warnings(record=True) as result:
         warnings.simplefilter("always")
         assert mjcf_robot(file(text)).actuators == ()
@@ -186,5 +187,20 @@ def test_one_warning_lists_what_is_left_out(file):
         "dampng of <joint> ['h']",
         "springyield",
         "delay of <motor>",
+        "damping of <motor>",
+        "armature of <motor>",
     ):
         assert word in only, word
+
+
+def test_every_body_of_the_world_and_mass_in_frames_are_read(file):
+    geoms = '<frame pos="1 0 0"><geom size=".1" mass="2"/></frame>'
+    body = '<body name="{}"><joint name="{}" type="slide"/>' + geoms + "</body>"
+    text = (
+        "<mujoco><option><flag contact='disable'/></option><worldbody>" + body.format("a", "x") + body.format("b", "y")
+    )
+    robot = mjcf_robot(file(text + TAIL))
+    assert {name: (link.mass, link.center.tolist()) for name, link in robot.links.items() if name != "world"} == {
+        "a": (2.0, [1.0, 0.0, 0.0]),
+        "b": (2.0, [1.0, 0.0, 0.0]),
+    }

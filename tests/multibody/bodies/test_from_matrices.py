@@ -233,6 +233,7 @@ WRONG = {
         lambda M, K: {"K": _changed(K, 3, 9, 1e3)},
         r"K of 'arm' is not symmetric: .* node 0 rx and node 1 rx",
     ),
+    "one half": (lambda M, K: {"K": scipy.sparse.csr_array(scipy.sparse.triu(K))}, r"K of 'arm' is not symmetric"),
     "held": (lambda M, K: {"K": _changed(K, 0, 0, 1e9)}, r"K of 'arm' resists a rigid translation x"),
     "negative": (lambda M, K: {"K": -1.0 * K}, r"K of 'arm' is not positive definite"),
     "no mass": (lambda M, K: {"M": 0.0 * M}, r"M of 'arm' has the masses"),

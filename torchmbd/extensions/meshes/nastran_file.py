@@ -16,7 +16,7 @@ from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.cards import read_cards
 from torchmbd.extensions.nastran.inert import is_inert
 
-#: Shell elements -> the field of ZOFFS, which meshio leaves out.
+#: Shell elements -> the field of ZOFFS; the one before is THETA or MCID, which meshio takes for a node.
 _SHELLS = {"CQUAD4": 8, "CQUADR": 8, "CTRIA3": 7, "CTRIAR": 7}
 _SECTIONS = ("PSHELL", "PCOMP", "PCOMPG", "MAT1", "MAT2", "MAT3", "MAT8", "MAT9", "MAT10", "PARAM")
 _SUPPORTS = ("SPC", "SPC1", "SPCADD")
@@ -32,6 +32,8 @@ def check_nastran(path: Path) -> None:
             raise _refusal(f"{card}: defaults of GRID must be absent, because meshio ignores them")
         if card.name in _SHELLS and card.real(_SHELLS[card.name], "ZOFFS", 0.0):
             raise _refusal(f"{card}: ZOFFS must be 0, because meshio ignores offsets")
+        if card.name in _SHELLS and (theta := card.text(_SHELLS[card.name] - 1)):
+            raise _refusal(f"{card}: THETA = {theta}: must be blank, because meshio takes it for a node")
         known = ("GRID", "GRDSET", *_SHELLS, *_SECTIONS, *_SUPPORTS)
         if card.name not in known and not is_inert(card.name):
             raise _refusal(f"{card}: meshio loses this card or a part of it, and the structure may be another")
