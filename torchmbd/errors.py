@@ -115,7 +115,7 @@ def true_or_false(name: str, value: Any) -> bool:
 
 
 _kinds: ContextVar[set[str] | None] = ContextVar("kinds", default=None)  # of warnings, inside `warnings_once`
-_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?")
+_NUMBER = re.compile(r"(?<!\w)[-+]?\d[\d.,]*(?:e[-+]?\d+)?")  # not of a name: part_0 and part_1 are two bodies
 
 
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
@@ -134,7 +134,13 @@ def warn(text: str, category: type[Warning] = UserWarning) -> None:
 
 @contextmanager
 def warnings_once() -> Iterator[None]:
-    """Warnings of torchmbd that differ in their numbers alone are one inside: a search makes many motions of one model."""
+    """Warnings of torchmbd that differ in their numbers alone are one inside: a search makes many motions of one model.
+
+    Inside another `warnings_once` it changes nothing: a study is one, with its searches. Serves as a decorator as well.
+    """
+    if _kinds.get() is not None:
+        yield
+        return
     token = _kinds.set(set())
     try:
         yield

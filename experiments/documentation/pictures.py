@@ -31,7 +31,7 @@ def slider_crank(folder: Path) -> Path:
         subject_to=[mbd.Max(energy) <= "initial"],
         bounds=mbd.deg([-90, 90]),
     )
-    result = mbd.optimize(problem)
+    result = mbd.optimize(problem, "mmfd")
     designs = {
         "rod.laminate.angles": torch.stack([mbd.deg([45, -45, 45]), torch.as_tensor(result.x, dtype=torch.float64)])
     }

@@ -98,7 +98,7 @@ def starts(count: int, steps: int, **model: Any) -> None:
 
 def discrete(steps: int, **model: Any) -> None:
     """Print the best design in increments of 5 degrees."""
-    result = mbd.optimize_discrete(problem(steps, **model), float(np.radians(5.0)))
+    result = mbd.optimize_discrete(problem(steps, **model), float(np.radians(5.0)), "mmfd")
     if result.best is None or result.certificate is None:
         print(f"{result.status}: {result.message}")
         return

@@ -113,7 +113,7 @@ def main() -> None:
         began = time.perf_counter()
         starts = mbd.sobol(arguments.starts, seed=7, include_initial=True)
         within = Within(problem, arguments.limit)
-        results[name] = optimize_discrete(within, float(np.radians(arguments.increment)), starts=starts)
+        results[name] = optimize_discrete(within, float(np.radians(arguments.increment)), "mmfd", starts)
         if not arguments.enumerate:
             print(f"{name}: {time.perf_counter() - began:.0f} s", *lines(results[name], None), sep="\n", flush=True)
     if arguments.enumerate:

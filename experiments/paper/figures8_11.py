@@ -53,7 +53,7 @@ def over_time(folder: Path, max_iterations: int, **options: Any) -> dict[str, fl
     """Fig. 9; the numbers are the peaks of its curves."""
     start = (45.0, -45.0, 45.0)
     integral, peak = table3.problem(3, start, **options), table4.problem(3, start, "direct", **options)
-    least = [mbd.optimize(p, max_iterations=max_iterations).x for p in (integral, peak)]
+    least = [mbd.optimize(p, "mmfd", max_iterations=max_iterations).x for p in (integral, peak)]
     motion = integral.simulate(np.array([integral.start, *least])).require_ok()
     names = ("start design", "least integral", "least peak")
     U = motion.body("rod").strain_energy.numpy()
@@ -64,7 +64,7 @@ def over_time(folder: Path, max_iterations: int, **options: Any) -> dict[str, fl
 def over_iterations(folder: Path, max_iterations: int, **options: Any) -> dict[str, float]:
     """Fig. 10; the numbers are both criteria at the end, divided by their values at the start."""
     problem = table5.problem(1, (45.0,), "together", **options)
-    history = mbd.optimize(problem, max_iterations=max_iterations).history
+    history = mbd.optimize(problem, "mmfd", max_iterations=max_iterations).history
     motion = problem.simulate(np.array([iterate.x for iterate in history])).require_ok()
     names = ("integral of 2U", "integral of the twist squared")
     values = {name: x.value(motion).numpy() for name, x in zip(names, table5.CRITERIA, strict=True)}

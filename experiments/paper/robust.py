@@ -41,7 +41,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     problem, d = problem_of("3f", arguments.layers, **COARSE), float(np.radians(arguments.tolerance))
-    nominal = mbd.multistart(problem, starts=mbd.sobol(4, seed=7, include_initial=True)).best
+    nominal = mbd.multistart(problem, "mmfd", mbd.sobol(4, seed=7, include_initial=True)).best
     if nominal is None:
         raise SystemExit("no start ended feasible")
     designs = {"nominal optimum": (nominal.x, f"{nominal.value:.7f}")}
@@ -51,7 +51,7 @@ def main() -> None:
         if kind == "worst":
             corners = problem.evaluate(nominal.x + robust.shifts, False)
             start[-1] = robust.extra.of_largest(max(corner.objective for corner in corners))
-        result = mbd.optimize(robust, start=start)
+        result = mbd.optimize(robust, "mmfd", start)
         designs[f"least {kind} value"] = robust.design(result.x), f"{result.value:.7f} ({result.status})"
     heads = ("angles [deg]", "nominal", "sampled mean", "worst", "violation", "criterion")
     print(f"{'':22s}{heads[0]:>16s}{heads[1]:>12s}{heads[2]:>24s}{heads[3]:>12s}{heads[4]:>11s}  {heads[5]}")

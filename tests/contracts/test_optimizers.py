@@ -302,6 +302,18 @@ def test_a_fixed_variable_stays(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("limit", [4.0, 2.0])
+def test_all_variables_fixed(method, limit):
+    """As in a box of a discrete search: nothing is left to search."""
+    problem = Analytic("point", [1.0, 2.0], lambda x: x[0] ** 2 + 1, lambda x: [x[0] + x[1] - limit])
+    problem.lower = problem.upper = problem.start
+    result = solve(problem, method)
+    assert result.status == ("converged" if limit == 4.0 else "infeasible")
+    assert np.array_equal(result.x, [1.0, 2.0])
+    assert problem.functions == 1
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_path_does_not_depend_on_units(method):
     """Degrees or radians, joule or millijoule: the same analyses and the same design."""
 
@@ -338,6 +350,32 @@ def test_interruption_keeps_the_best(method):
     assert result.analyses == sum(calls)
     assert result.value <= result.history[0].objective
     assert np.isfinite(result.kkt_residual)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("iterations", range(1, 12))
+def test_a_better_design_that_is_nearly_feasible_is_corrected(method, iterations):
+    """From a feasible start along a curved limit, which methods meet at their end only."""
+    seen = []
+
+    class Kept(Analytic):
+        def _one(self, x, gradients):
+            evaluation = super()._one(x, gradients)
+            seen.append(evaluation)
+            return evaluation
+
+    problem = Kept(
+        "bent tube",
+        [3.0, 1.0, -1.0],
+        lambda x: x[0] + 0.02 * x[1] ** 2 + 0.01 * x[2] ** 2,
+        lambda x: [1.0 - x[0] * (1.0 + 0.2 * np.cos(2 * x[1]) * np.cos(x[2])) / 1.2, 0.5 / x[0] - np.cos(x[1])],
+        lower=[0.1, -1.5, -1.5],
+        upper=[5.0, 1.5, 1.5],
+    )
+    result = solve(problem, method, max_iterations=iterations)
+    assert result.violation <= 1e-6
+    near = min(e.objective for e in seen if e.ok and e.constraints.max() <= 1e-3)
+    assert result.value <= 1.005 * near
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -45,8 +45,8 @@ def test_a_saddle_on_the_way_is_left():
     problem = Analytic(
         "saddle", [2.0, 0.0], lambda x: x[0] ** 2 + x[1] ** 4 / 4 - x[1] ** 2 / 2 + 1, lower=-3, upper=3, optimum=0.75
     )
-    assert optimize(problem, second_order=False).value == pytest.approx(1.0, abs=1e-6)
-    result = optimize(problem)
+    assert optimize(problem, "mmfd", second_order=False).value == pytest.approx(1.0, abs=1e-6)
+    result = optimize(problem, "mmfd")
     assert result.status == "converged"
     assert result.value == pytest.approx(0.75, abs=1e-5)
 
@@ -55,7 +55,7 @@ def test_a_maximum_on_a_bound_is_left():
     """A ply angle at -90 degrees: stationary by symmetry, on its bound, and the worst there is."""
     f = lambda x: 3 - np.cos(x[0] * np.pi / 90) - np.cos(x[1] * np.pi / 90)  # noqa: E731
     problem = Analytic("angles", [30.0, -90.0], f, lower=-90, upper=90)
-    result = optimize(problem)
+    result = optimize(problem, "mmfd")
     assert result.status == "converged"
     assert result.value == pytest.approx(1.0, abs=1e-4)
 
@@ -70,8 +70,8 @@ def test_a_saddle_on_a_curved_constraint_is_left():
         lower=[-1.5, -1.5],
         upper=[1.5, 1.5],
     )
-    flat = optimize(problem, second_order=False)
-    result = optimize(problem)
+    flat = optimize(problem, "mmfd", second_order=False)
+    result = optimize(problem, "mmfd")
     assert result.status == "converged"
     assert result.violation <= 1e-6
     assert result.value < flat.value - 0.1
@@ -79,6 +79,6 @@ def test_a_saddle_on_a_curved_constraint_is_left():
 
 def test_a_minimum_stays():
     problem = Analytic("bowl", [2.0, 1.0], lambda x: x[0] ** 2 + 3 * x[1] ** 2 + 1, lower=-3, upper=3)
-    plain, checked = optimize(problem, second_order=False), optimize(problem)
+    plain, checked = optimize(problem, "mmfd", second_order=False), optimize(problem, "mmfd")
     assert np.array_equal(plain.x, checked.x)
     assert checked.analyses == plain.analyses + 2

@@ -182,3 +182,22 @@ def test_a_spin_that_makes_a_motion_fail_is_warned_of_and_named_in_the_status():
     assert "stiffening=True helps" in motion.status[0]
     assert 0.1 < float(motion.stats["spin_ratio"]["rod"][0]) < 3.0  # of the drive, not of the motion that explodes
     assert spun(350.0, 1500.0, stiffening=True).status == ["ok"]
+
+
+@pytest.mark.thorough
+def test_a_search_warns_of_a_body_once_and_its_table_says_what_stiffening_gives(recwarn):
+    """A column under half of the weight that buckles it, 7.84 EI / L^2: its share falls with its mass."""
+    body = rod("start", density=mbd.variable(2700.0))
+    weight = 0.5 * 7.84 / (math.pi**2 / 4.0) * EULER
+    gravity = (-weight / (2700.0 * SIDE**2 * LENGTH), 0.0, 0.0)
+    system = mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("start"))], gravity=gravity)
+    problem = mbd.Problem(system, 1e-4, steps=4, minimize=mbd.Mass("rod"), bounds=(540.0, 9000.0), backend="eager")
+    result = mbd.optimize(problem, "mmfd", max_iterations=4)
+    assert result.analyses > 1
+    loads = [str(x.message) for x in recwarn if "of its stiffness" in str(x.message)]
+    assert len(loads) == 1
+    [note] = [note for note in mbd.verify(result).notes if "stiffness" in note]
+    assert note.startswith(
+        "linear elastic displacements leave out tension and pressure of the loads of body 'rod', up to 0."
+    )
+    assert note.endswith("with stiffening=True they are part of it")

@@ -29,12 +29,13 @@ from torchmbd.design.problem_errors import design_errors
 from torchmbd.design.problem_parts import governing_row, limits_of, masses_and_frequencies
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.words import unit, words
-from torchmbd.errors import InputError, MbdError, checked_signature
+from torchmbd.errors import InputError, MbdError, checked_signature, warnings_once
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.optimization import MultistartResult, OptimizationResult, Processes, RobustProblem
 from torchmbd.optimization.api import FEASIBILITY
 from torchmbd.optimization.optimizer import largest_violation
 from torchmbd.results.answer import GAIN, LIMIT, Answer, Number, Verification
+from torchmbd.results.elastic_limits import notes_of_loads
 from torchmbd.results.response_error import ResponseError, rows_of
 
 _ENDS = 3  # of other starts that are simulated, at most
@@ -44,6 +45,7 @@ _UNRESOLVED = 16.0  # reduction of the error that is asked for where none is kno
 
 
 @checked_signature
+@warnings_once()
 def verify(result: OptimizationResult | MultistartResult) -> Verification:
     """Simulate best design and start with finer steps, more modes and finer meshes: do gain and constraints hold?
 
@@ -125,6 +127,7 @@ def verification(
         return Verification((), math.nan, math.nan, (str(error),), "see the how-to page on errors of responses")
     notes = [f"{words(response.measure)}: {response.error.note}" for response in responses if response.error.note]
     notes += dict.fromkeys(text for response in responses for text in response.error.unknown)
+    notes += dict.fromkeys(text for system, _ in simulated.cases(x[None]) for text in notes_of_loads(system))
     if robust:
         text = "the change of the objective is that of its {} over the tolerances, with the errors of the nominal design; {}"
         notes.append(text.format(_RULES[problem.kind], "the other values and errors are those of the nominal design"))

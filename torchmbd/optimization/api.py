@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false
+from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false, warnings_once
 from torchmbd.optimization.failures import counted
 from torchmbd.optimization.finer_motions import Begin, counted_from, search_with_finer_motions
 from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.least_infeasible import least_infeasible
+from torchmbd.optimization.nearly_feasible import make_feasible, most_promising
 from torchmbd.optimization.optimizer import (
+    DEFAULT_METHOD,
     MOST_DENSE,
     Box,
     Ending,
@@ -45,9 +47,10 @@ KKT = 1e-3  # Kuhn-Tucker residual of an optimum, of methods without an option o
 
 
 @checked_signature
+@warnings_once()
 def optimize(
     problem: NonlinearProgram,
-    method: str = "mmfd",
+    method: str = DEFAULT_METHOD,
     start: np.ndarray | None = None,
     max_iterations: int = MAX_ITERATIONS,
     scaling: bool = True,
@@ -63,7 +66,7 @@ def optimize(
     """Minimize from one start.
 
     problem          such as a Problem; any object as described in optimizer.py
-    method           "mmfd", "slsqp", "lbfgs", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
+    method           "slsqp", "mmfd", "lbfgs", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
     start            initial design [n]; None: problem.start
     max_iterations   accepted designs at most
     scaling          measure variables by |start|, and the objective by its value and change there (units.py)
@@ -147,6 +150,9 @@ def run_start(
         ending = function(search, max_iterations, **options)
         if ending.status == "infeasible":
             ending = restore_feasibility(search, ending, function, max_iterations, options)
+        if ending.status not in ("converged", "failed") and make_feasible(search):
+            status = "stalled" if ending.status == "infeasible" else ending.status
+            ending = replace(ending, status=status, message=f"{ending.message}; a nearly feasible design was corrected")
         return build_result(search, ending, method, problem, kkt=tolerance_of(function, options))
     except (Interrupted, KeyboardInterrupt):
         status, message = "interrupted", "stopped by the user"
@@ -176,15 +182,19 @@ def restore_feasibility(
     if search.size > MOST_DENSE:
         word = f"which constraints conflict is not known for more than {MOST_DENSE:,} variables"
         return replace(ending, message=f"{ending.message}; {word}")
-    least = least_infeasible(search, reported_design(search, ending)[0])
+    if make_feasible(search) and search.best is not None:
+        y, violation, conflicting = search.best, 0.0, []
+    else:
+        least = least_infeasible(search, reported_design(search, ending)[0])
+        y, violation, conflicting = least.y, least.violation, least.conflicting
     remaining = max_iterations - (len(search.history) - 1)
-    if least.violation <= search.feasibility and remaining > 0:
-        search.start = least.y
+    if violation <= search.feasibility and remaining > 0:
+        search.start = y
         return function(search, remaining, **options)
-    if least.violation <= search.feasibility:
-        return Ending(least.y, "max_iterations", f"{ending.message}; a feasible design was found")
-    message = f"no design near here violates less than {least.violation:.3g}: constraints {least.conflicting} conflict"
-    return Ending(least.y, "infeasible", f"{message} each other or the bounds ({ending.message})")
+    if violation <= search.feasibility:
+        return Ending(y, "max_iterations", f"{ending.message}; a feasible design was found")
+    message = f"no design near here violates less than {violation:.3g}: constraints {conflicting} conflict"
+    return Ending(y, "infeasible", f"{message} each other or the bounds ({ending.message})")
 
 
 def build_result(
@@ -221,6 +231,10 @@ def build_result(
             "stalled",
             f"{message}, but the Kuhn-Tucker residual {quality.residual:.2g} is beyond kkt = {kkt:g}",
         )
+    elif status in ("stalled", "max_iterations") and violation <= search.feasibility and quality.residual <= kkt:
+        status, message = "converged", f"the Kuhn-Tucker conditions hold ({message})"
+    if status != "converged":
+        message += better_elsewhere(search, getattr(problem, "sign", 1.0))
     return OptimizationResult(
         x=search.physical(y),
         value=value,
@@ -243,6 +257,18 @@ def build_result(
         start=search.index,
         problem=problem,
     )
+
+
+def better_elsewhere(search: Search, sign: float) -> str:
+    """Return what a search knows of a better design that is nearly feasible; "" if it knows none.
+
+    sign  from the value to the objective of the problem, -1 where that is maximized
+    """
+    candidate = most_promising(search)
+    if candidate is None:
+        return ""
+    value = sign * search.physical_objective(candidate.y)
+    return f"; a design of {value:.6g} violates a constraint by only {candidate.violation:.2g}. Try: more iterations"
 
 
 def reported_design(search: Search, ending: Ending) -> tuple[np.ndarray, str, str]:

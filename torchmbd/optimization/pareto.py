@@ -27,13 +27,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false
+from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false, warnings_once
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.criteria import Criteria, ManyCriteria
 from torchmbd.optimization.multistart.sampling import Starts, recipe
 from torchmbd.optimization.multistart.warm_start import MIN_GAIN, ScalarizedSearches
 from torchmbd.optimization.optimizer import (
+    DEFAULT_METHOD,
     Evaluation,
     OptimizationResult,
     find_method,
@@ -119,10 +120,11 @@ class Front:
 
 
 @checked_signature
+@warnings_once()
 def pareto_front(
     problem: ManyCriteria,
     divisions: int = DIVISIONS,
-    method: str = "mmfd",
+    method: str = DEFAULT_METHOD,
     starts: Starts | list[Any] | np.ndarray | None = None,
     ended: Callable[[OptimizationResult], None] | None = None,
     *,

@@ -231,6 +231,10 @@ class Search:
         """Scaled y of the best design seen (feasible and lowest, else least infeasible); None if none succeeded."""
         return min(self._ranks.values(), key=itemgetter(0))[1] if self._ranks else None
 
+    def nearly_feasible(self, most: float) -> list[np.ndarray]:
+        """Return the designs seen (scaled) that are not feasible, but violate no constraint by more than `most`."""
+        return [y for (infeasible, number), y in self._ranks.values() if infeasible and number <= most]
+
     def _rank_design(self, y: np.ndarray, evaluation: Evaluation) -> None:
         if not evaluation.ok:
             return

@@ -194,6 +194,17 @@ def warn_of_loads(motion: Trajectory) -> None:
             )
 
 
+def notes_of_loads(system: Any) -> list[str]:
+    """A sentence on each body of a system whose loads were large in its motions of this process."""
+    shares = {body.name: _LOOKED_AT[body][1] for body in system.bodies if body in _LOOKED_AT}
+    return [
+        f"linear elastic displacements leave out tension and pressure of the loads of body {name!r}, up to {share:.1g} of its "
+        "stiffness in these motions; with stiffening=True they are part of it"
+        for name, share in shares.items()
+        if share > _LOADED
+    ]
+
+
 def _sizes(motion: Trajectory) -> list[float]:
     """Size of all loads by that of each flexible body (module header), the largest of all lanes and times."""
     T, data = motion.dynamics.topology, motion.dynamics.data

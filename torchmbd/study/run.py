@@ -20,6 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
+from torchmbd.errors import warnings_once
 from torchmbd.optimization import DiscreteResult, Iterate, MultistartResult
 from torchmbd.optimization.cache import CachedProblem
 from torchmbd.optimization.multistart import multistart
@@ -52,6 +53,7 @@ class _Offline:
         raise KeyboardInterrupt
 
 
+@warnings_once()
 def run_study(
     study: StudySettings,
     console: Console,

@@ -38,6 +38,7 @@ from torchmbd.math import units
 from torchmbd.math.plausible_units import turn_in_radians
 from torchmbd.multibody.system.start import STARTS
 from torchmbd.optimization import OPTIMIZERS
+from torchmbd.optimization.optimizer import DEFAULT_METHOD
 from torchmbd.optimization.robust import KINDS as KINDS_OF_ROBUST
 from torchmbd.study.file_errors import shown
 from torchmbd.study.scenario_keys import Combine, Scenario, Settings
@@ -223,7 +224,7 @@ class Optimizer(Section):
     """
 
     model_config = ConfigDict(extra="allow")
-    name: Annotated[str, NameOf(OPTIMIZERS)] = "mmfd"
+    name: Annotated[str, NameOf(OPTIMIZERS)] = DEFAULT_METHOD
     max_iterations: PositiveInt = 60
 
     @property

@@ -26,6 +26,7 @@ from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.sampling import recipe, starts_at
 from torchmbd.optimization.optimizer import (
+    DEFAULT_METHOD,
     find_method,
     require_count,
     require_inside,
@@ -85,7 +86,7 @@ class StudySettings(Summary):
         self,
         problem: Any,
         starts: Starts | Sequence[Any] | np.ndarray | None = None,
-        method: str = "mmfd",
+        method: str = DEFAULT_METHOD,
         name: str = "study",
         *,
         max_iterations: int = MAX_ITERATIONS,

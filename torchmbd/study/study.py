@@ -1,6 +1,6 @@
 """A study: a problem that is optimized from several starts, tracked, continued after a kill, and reported.
 
-    study = mbd.Study(problem, starts=mbd.sobol(8, seed=1), method="mmfd", name="arm")
+    study = mbd.Study(problem, starts=mbd.sobol(8, seed=1), name="arm")
     study.check()                  what it will cost
     study.run()                    the same call continues a study that was interrupted or killed
     study.best, study.to_dataframe(), study.plot(), study.report("arm.html")

@@ -98,3 +98,15 @@ def test_a_warning_that_differs_in_numbers_comes_once(recwarn):
             warn(f"a speed of {k}.5e-{k} m/s")
         warn("another speed")
     assert len([x for x in recwarn if "speed" in str(x.message)]) == 2
+
+
+def test_a_study_is_one_with_its_searches_and_names_keep_their_numbers(recwarn):
+    from torchmbd.errors import warn, warnings_once
+
+    with warnings_once():
+        for k in range(2):
+            with warnings_once():
+                for body in ("part_0", "part_1"):
+                    warn(f"body '{body}' is loaded by 0.{k + 1} of its stiffness")
+    texts = [str(x.message) for x in recwarn if "loaded" in str(x.message)]
+    assert texts == [f"body 'part_{k}' is loaded by 0.1 of its stiffness" for k in (0, 1)]

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import argument_names, checked_signature
+from torchmbd.errors import argument_names, checked_signature, warnings_once
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.discrete.grid import Allowed, Grid
@@ -31,6 +31,7 @@ from torchmbd.optimization.multistart.batched import run_batched
 from torchmbd.optimization.multistart.run import MultistartResult, multistart
 from torchmbd.optimization.multistart.sampling import Starts
 from torchmbd.optimization.optimizer import (
+    DEFAULT_METHOD,
     Evaluation,
     NonlinearProgram,
     OptimizationResult,
@@ -231,10 +232,11 @@ class DiscreteResult:
 
 
 @checked_signature
+@warnings_once()
 def optimize_discrete(
     problem: NonlinearProgram,
     allowed: Allowed | Sequence[Allowed],
-    method: str = "mmfd",
+    method: str = DEFAULT_METHOD,
     starts: Starts | list[Any] | np.ndarray | None = None,
     *,
     max_iterations: int = MAX_ITERATIONS,

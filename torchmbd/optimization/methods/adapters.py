@@ -122,6 +122,9 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
     if search.violation(evaluation) <= search.feasibility and not evaluation.objective_gradient.any():
         # Interior point methods would leave for the middle of the bounds.
         return Ending(y, "converged", "the gradient is zero")
+    if not (search.upper > search.lower).any():
+        feasible = search.violation(evaluation) <= search.feasibility
+        return Ending(y, "converged" if feasible else "infeasible", "the bounds fix all variables")
     failed: list[np.ndarray] = []
     unit, message = 1.0, ""
     for number in range(RUNS):

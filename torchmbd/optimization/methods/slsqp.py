@@ -1,5 +1,7 @@
 """SciPy's SLSQP (Kraft's sequential least squares programming).
 
+Where constraints contradict each other it goes on for hundreds of evaluations. So a run ends where no design has been feasible
+and the least violation has hardly fallen for some iterations; the search for the least infeasible design follows (api.py).
 Source: scipy.optimize.minimize, method "SLSQP"; Kraft, A software package for sequential quadratic programming, DFVLR-FB
 88-28 (1988).
 """
@@ -22,6 +24,12 @@ SENTENCES = {
     8: "SLSQP found no descent along its direction",
     9: "SLSQP reached the limit of iterations",
 }
+PATIENCE = 5  # iterations without a fall of the least violation
+FALL = 0.1  # of the least violation
+
+
+class ViolationRests(Exception):
+    """No design has been feasible, and the violation no longer falls."""
 
 
 @register("slsqp", dense=True)
@@ -37,6 +45,8 @@ def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
     def slope(y: np.ndarray) -> np.ndarray:
         df = wrapped.slope(y)
         wrapped.record(y)  # SciPy asks for gradients exactly where it accepted a step
+        if _violation_rests(wrapped.search):
+            raise ViolationRests
         return df
 
     def negative(function, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -54,13 +64,25 @@ def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        result = minimize(
-            wrapped.objective,
-            wrapped.y,
-            jac=slope,
-            method="SLSQP",
-            bounds=list(zip(wrapped.lower, wrapped.upper, strict=True)),
-            constraints=constraints,
-            options={"maxiter": wrapped.remaining, "ftol": ftol * wrapped.shrink},
-        )
+        try:
+            result = minimize(
+                wrapped.objective,
+                wrapped.y,
+                jac=slope,
+                method="SLSQP",
+                bounds=list(zip(wrapped.lower, wrapped.upper, strict=True)),
+                constraints=constraints,
+                options={"maxiter": wrapped.remaining, "ftol": ftol * wrapped.shrink},
+            )
+        except ViolationRests:
+            y = wrapped.y if wrapped.search.best is None else wrapped.search.best
+            return Stop(y, False, f"SLSQP has not lowered the violation in {PATIENCE} iterations")
     return Stop(result.x, bool(result.success), SENTENCES.get(int(result.status), f"SLSQP: {result.message}"))
+
+
+def _violation_rests(search: Search) -> bool:
+    """Whether no design of a search has been feasible, and the last PATIENCE ones have hardly lowered the violation."""
+    violations = [iterate.violation for iterate in search.history]
+    if len(violations) <= PATIENCE or min(violations) <= search.feasibility:
+        return False
+    return min(violations[-PATIENCE:]) > (1.0 - FALL) * min(violations[:-PATIENCE])

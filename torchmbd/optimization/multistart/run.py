@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import argument_names, checked_signature, true_or_false
+from torchmbd.errors import argument_names, checked_signature, true_or_false, warnings_once
 from torchmbd.optimization.api import (
     FEASIBILITY,
     MAX_ITERATIONS,
@@ -38,6 +38,7 @@ from torchmbd.optimization.finer_motions import (
 from torchmbd.optimization.multistart.batched import BatchedSearches
 from torchmbd.optimization.multistart.sampling import Starts, recipe
 from torchmbd.optimization.optimizer import (
+    DEFAULT_METHOD,
     Iterate,
     NonlinearProgram,
     OptimizationResult,
@@ -220,9 +221,10 @@ class MultistartResult(Summary):
 
 
 @checked_signature
+@warnings_once()
 def multistart(
     problem: NonlinearProgram,
-    method: str = "mmfd",
+    method: str = DEFAULT_METHOD,
     starts: Starts | list[Any] | np.ndarray | None = None,
     callback: Callable[[Iterate], None] | None = None,
     ended: Callable[[OptimizationResult], None] | None = None,
