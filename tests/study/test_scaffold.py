@@ -11,6 +11,7 @@ from rich.console import Console
 
 from torchmbd.errors import InputError
 from torchmbd.optimization import OPTIMIZERS
+from torchmbd.optimization.optimizer import DEFAULT_METHOD
 from torchmbd.study.config_index import question
 from torchmbd.study.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
@@ -35,8 +36,8 @@ def test_what_is_written_of_the_example_is_so(tmp_path):
     built = parts_of("arm_model.py:build", tmp_path)
     assert (built.body, built.options) == (EXAMPLE_PARTS.body, EXAMPLE_PARTS.options)
     np.testing.assert_equal(built.parameters, EXAMPLE_PARTS.parameters)
-    named = TEXT.partition("name: mmfd")[2].partition("or ")[2].partition("\n")[0]
-    assert {"mmfd", *named.split(", ")} == set(OPTIMIZERS)
+    named = TEXT.partition(f"name: {DEFAULT_METHOD}")[2].partition("or ")[2].partition("\n")[0]
+    assert {DEFAULT_METHOD, *named.split(", ")} == set(OPTIMIZERS)
 
 
 def test_a_model_of_the_users_names_its_own_parts(folder):

@@ -17,11 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchmbd.optimization.curvature import perturb_stationary_start
+from torchmbd.optimization.kkt import SMALLEST_OBJECTIVE
 from torchmbd.optimization.optimizer import Ending, Evaluation
 from torchmbd.optimization.search import Search
 
 RUNS = 4
 SMALLEST_UNIT = 1e-9  # of the start's objective
+REST = 1e-8  # of the objective: a further run that lowers it by less is the last
 FAR_BELOW = 0.05  # of the objective at the start of a run
 FAILED_OBJECTIVE = 1e3  # of a failed evaluation, times the last objective
 
@@ -135,7 +137,7 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
         stop = _run_wrapped(WrappedProblem(search, y, unit, failed, remaining, number), run)
         if stop is None:
             break
-        message = stop.message
+        message, before = stop.message, evaluation
         y, evaluation = _with_gradient(search, _better(search, stop.y), failed)
         quality = search.kuhn_tucker(evaluation, y)
         feasible = search.violation(evaluation) <= search.feasibility
@@ -146,6 +148,9 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
         if feasible and quality.residual <= kkt:
             return Ending(y, "converged", message if stop.success else f"{message}: a Kuhn-Tucker point")
         if (np.array_equal(start, y) or not feasible) and not failed and not stop.success:
+            break
+        least = REST * max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
+        if number and feasible and not failed and before.objective - evaluation.objective <= least:
             break
     return _ending(search, y if search.best is None else search.best, message, max_iterations)
 
