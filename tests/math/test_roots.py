@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torch import Tensor
 from torch.testing import assert_close
@@ -52,9 +53,24 @@ def test_a_triple_root():
     assert_close(x, tensor(0.2), rtol=1e-4, atol=0)
 
 
-def test_an_end_that_is_a_root_is_evaluated_once():
+def test_an_end_that_is_a_root_is_evaluated_once_and_a_little_before():
     x, success, tried = solved(lambda y, _: 1.0 - y, tensor(0.0), tensor(1.0))
-    assert (x.item(), success.item(), tried) == (1.0, True, [1])
+    assert (x.item(), success.item(), tried) == (1.0, True, [2])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("high", "after"), [(1.0, 0.0), (0.8, 0.0), (1.0, 1.0)])
+def test_a_function_that_stays_zero_has_its_root_where_it_gets_there(sign, high, after):
+    """max(0, 0.3 - x), and a dead zone from 0.3 to 0.7; the function has a slope at the root."""
+
+    def f(x: Tensor, _: int) -> Tensor:
+        return sign * ((0.3 - x).clamp_min(0.0) - after * (x - 0.7).clamp_min(0.0))
+
+    x, success, tried = solved(f, tensor(0.0, 0.0), tensor(high, high))
+    assert success.all()
+    assert_close(x, tensor(0.3, 0.3), rtol=0, atol=2e-9)
+    assert bool((x < 0.3).all())
+    assert max(tried) <= 50
 
 
 def test_signs_that_do_not_differ_and_numbers_that_are_none_are_not_found():

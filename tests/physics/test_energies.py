@@ -55,6 +55,23 @@ def test_the_balance_closes_to_second_order():
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("gradients", ["none", "reverse", "forward"])
+def test_energies_with_checkpoints_are_those_without(gradients, several):
+    """Works are integrals over all steps, not over the states that are kept."""
+    phases = [mbd.Phase(until=0.0503), mbd.Phase(lasting=0.02), mbd.Phase()] if several else None
+    options = {"steps": 60, "gradients": gradients, "backend": "eager", "phases": phases}
+    whole = mbd.simulate(driven_arm(), 0.1, **options)
+    some = mbd.simulate(driven_arm(), 0.1, **options, checkpoint=20)
+    for name in ("kinetic", "strain", "potential", "dissipated", "applied", "driven", "lost", "balance"):
+        expected = getattr(whole.energies, name)[:, ::20]
+        assert_close(getattr(some.energies, name).detach(), expected.detach(), rtol=1e-12, atol=1e-12)
+    if gradients == "reverse":
+        with pytest.raises(mbd.InputError, match="energies of a motion with checkpoint= are being differentiated"):
+            some.energies.applied.sum().backward()
+
+
+@pytest.mark.thorough
 def test_lanes_keep_their_own_books():
     system = pendulum()
     angles = system.body("rod").laminate.angles.detach()

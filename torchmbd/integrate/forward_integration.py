@@ -49,8 +49,8 @@ class ForwardIntegration(IntegratedMotion):
         designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in zip(self.names, inputs, strict=True)}
         lanes = max((len(x) for x in designs.values()), default=1)
         designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
-        problem = self._problem(designs)
-        self.integrate(problem, len(self.labels))
+        self.problem = self._problem(designs)
+        self.integrate(self.problem, len(self.labels))
         if self.phases is None:
             self.dynamics.evaluate_rank()
         data = {name: x for name, x in self.dynamics.data.items() if isinstance(x, Pair) or x.shape[-1] > 1}

@@ -5,7 +5,7 @@ Checked in tests/integrate/test_motion.py.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.initial_value import InitialValueProblem
-from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.integrator import Integrator, Steps
 from torchmbd.integrate.lane_status import validity
 from torchmbd.integrate.memory import require_memory
+from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.retries import LaneResults, integrate_lanes
 from torchmbd.integrate.step_count import choose_steps
@@ -34,7 +35,7 @@ class IntegratedMotion:
     system     the mechanism, with the locks of its phases, or None where steps are given
     backend    of the steps, as of `simulate`
 
-    Once it has run: dynamics of the whole system, results and validity of all lanes, outputs.
+    Once it has run: the problem, dynamics of the whole system, results and validity of all lanes, outputs.
     """
 
     names: tuple[str, ...]
@@ -43,6 +44,7 @@ class IntegratedMotion:
     system: System | None
     integrator: Integrator
     backend: str = "auto"
+    problem: InitialValueProblem = field(init=False, repr=False)
     dynamics: Dynamics = field(init=False)
     results: LaneResults = field(init=False)
     validity: Tensor = field(init=False)
@@ -71,6 +73,21 @@ class IntegratedMotion:
     def history(self) -> History:
         """States of all lanes."""
         return self.results.history
+
+    @property
+    def has_checkpoints(self) -> bool:
+        """Whether there are steps between the states that are kept."""
+        return isinstance(self.integrator, OneStep) and self.integrator.checkpoint > 1
+
+    @torch.no_grad()
+    def at_all_steps(self, lane: int) -> History | None:
+        """The states of one lane at all its steps, made again by the integrator that made them; None: all were kept."""
+        if not self.has_checkpoints:
+            return None
+        by = self.results.replaced.get(lane, Steps(self.integrator, 1))
+        assert self.steps is not None
+        problem = self.problem.values().select_lanes([lane])
+        return problem.integrate(replace(by.integrator, checkpoint=1), by.substeps * self.steps).history
 
     @property
     def status(self) -> list[str]:

@@ -54,7 +54,6 @@ class ReverseIntegration(IntegratedMotion):
     designs: tuple[str, ...]
     differentiated: tuple[str, ...] = ()
     variables: tuple[str, ...] = ()  # none carries tangents along
-    _problem: InitialValueProblem = field(init=False, repr=False)
     _of_leaves: Dynamics | None = field(default=None, init=False, repr=False)  # the dynamics as a function of leaves
 
     def __getstate__(self) -> dict[str, Any]:
@@ -72,8 +71,8 @@ class ReverseIntegration(IntegratedMotion):
             self._of_leaves = differentiable(dynamics, self.differentiated)
         lanes = dynamics.lanes  # of torch.vmap; what has no part in it has one
         designs = {name: x.expand(lanes, *x.shape[1:]) for name, x in designs.items()}
-        self._problem = self._problem_of(dynamics, designs)
-        self.integrate(self._problem if self._of_leaves is None else OneSegment(self._of_leaves, self.duration), 0)
+        self.problem = self._problem_of(dynamics, designs)
+        self.integrate(self.problem if self._of_leaves is None else OneSegment(self._of_leaves, self.duration), 0)
         if self.segments is None:
             self.dynamics = dynamics.share_rank(self.dynamics)  # without the graph of the leaves
             self.dynamics.evaluate_rank()
@@ -101,8 +100,8 @@ class ReverseIntegration(IntegratedMotion):
             result = self.adjoint(bar.states, names, bar.at_steps[:4] or (None,) * 4)
         elif names or by_designs:
             rows = next(x.shape[-2] for x in outputs if x is not None)
-            assert isinstance(self._problem, SeveralSegments)
-            pullback = SegmentsPullback(self._problem, self.results)
+            assert isinstance(self.problem, SeveralSegments)
+            pullback = SegmentsPullback(self.problem, self.results)
             result = pullback(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
@@ -135,10 +134,10 @@ class ReverseIntegration(IntegratedMotion):
     def _integrated(self, data: Mapping[str, Tensor], designs: Mapping[str, Tensor]) -> list[Tensor]:
         """Tangents of all outputs along directions of the data [component..., k, lanes] and the designs [k, lanes, ...]."""
         count = next((x.shape[-2] for x in data.values()), 0) or next(len(x) for x in designs.values())
-        values, base_designs = self._problem.dynamics, {}
+        values, base_designs = self.problem.dynamics, {}
         moving = {name: Pair.of(values.data[name].detach(), dx) for name, dx in data.items()}
-        if isinstance(self._problem, SeveralSegments):
-            base_designs = self._problem.views.whole.designs
+        if isinstance(self.problem, SeveralSegments):
+            base_designs = self.problem.views.whole.designs
         along = {name: dx.expand(len(dx), len(base_designs[name]), *dx.shape[2:]) for name, dx in designs.items()}
         dynamics = replace(values, data={name: x.detach() for name, x in values.data.items()} | moving)
         assert self.steps is not None

@@ -10,7 +10,7 @@
     balance = kinetic + strain + potential + dissipated + lost - applied - driven, less its value at the start
 
 is zero along an exact motion; the rest is the error of steps and iterations. Integrals are trapezoidal over all states of a
-lane (lane_motion.py): at the output times or its smaller steps, and on both sides of every switch.
+lane (lane_motion.py): at all its steps, which are made again between checkpoints, and on both sides of every switch.
 Values only. All functions of time [lanes, times] [J].
 Checked in tests/physics/test_energies.py: against nodal sums, and the balance to second order.
 """
@@ -23,14 +23,21 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.gradients import in_transform, is_differentiated
 from torchmbd.math.pair import dot, matvec, value
 from torchmbd.multibody.system import beams, equations
 from torchmbd.multibody.system.moments import bent_stiffness, moments
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Topology
-from torchmbd.results.lane_motion import has_lane_times, lane_motion
+from torchmbd.results.lane_motion import has_checkpoints, has_lane_times, lane_motion
 from torchmbd.results.motion_data import MotionData
 from torchmbd.summary import Summary
+
+
+_REFUSED = (
+    "energies of a motion with checkpoint= are being differentiated, but its steps are made again without a gradient; "
+    "allowed: checkpoint=1, or energies outside of gradients and torch.func"
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,13 +78,28 @@ def energies(motion: MotionData) -> Energies:
             "energies of lanes with phases or smaller steps of their own are asked for in torch.func.vmap; "
             "allowed: designs [lanes, ...] in one simulate"
         )
+    remade = has_checkpoints(motion)
+    if remade and in_transform(motion.q):
+        raise InputError(_REFUSED)
     parts = [_lane(motion, lane) for lane in range(motion.lanes)]
-    return Energies(*(torch.stack(x) for x in zip(*parts, strict=True)))
+    result = [torch.stack(x) for x in zip(*parts, strict=True)]
+    return Energies(*map(_without_gradient, result) if remade and is_differentiated(motion.q) else result)
+
+
+def _without_gradient(x: Tensor) -> Tensor:
+    """The numbers of x, whose derivatives are refused."""
+
+    def refuse(_: Tensor) -> None:
+        raise InputError(_REFUSED)
+
+    y = x.detach().requires_grad_()
+    y.register_hook(refuse)
+    return y
 
 
 def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     """Energies and works [times] of one lane: its times take the place of lanes."""
-    T, (alone, begins, outputs) = motion.dynamics.topology, lane_motion(motion, lane)
+    T, (alone, begins, outputs) = motion.dynamics.topology, lane_motion(motion, lane, between=True)
     t, (q, v, lam) = alone.t, (alone.signals.values(name)[0].T[:, None] for name in ("q", "v", "lam"))
     data = {name: value(x) for name, x in motion.dynamics.data.items()}
     data = {name: x if x.shape[-1] == 1 else x[..., lane : lane + 1] for name, x in data.items()}

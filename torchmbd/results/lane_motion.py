@@ -9,14 +9,17 @@ Checked in tests/design/test_switches.py, tests/integrate/test_contacts.py.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmbd.math.gradients import untransformed
+from torchmbd.math.pair import value
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
+from torchmbd.results.motion_data import has_failed
 from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals
 
 if TYPE_CHECKING:
@@ -43,9 +46,15 @@ def has_lane_times(motion: MotionData) -> bool:
     return bool(motion.switches) or getattr(motion.signals, "at_steps", None) is not None
 
 
-def lane_motion(motion: MotionData, lane: int) -> LaneMotion:
-    """A lane of a motion at all its times."""
-    t, signals, outputs = _steps(motion, lane)
+def has_checkpoints(motion: MotionData) -> bool:
+    """Whether there are steps between the states of a motion."""
+    integration = motion.signals.integration if isinstance(motion.signals, IntegratedSignals) else None
+    return integration is not None and integration.has_checkpoints
+
+
+def lane_motion(motion: MotionData, lane: int, between: bool = False) -> LaneMotion:
+    """A lane of a motion at all its times; `between`: at those of its steps between checkpoints as well, without gradients."""
+    t, signals, outputs = _all_steps(motion, lane) if between else _steps(motion, lane)
     sides = [(s.t[lane], moment) for s in motion.switches for moment in (s.before, s.after)]
     begins = torch.zeros(len(t), dtype=torch.bool)
     if sides:
@@ -98,6 +107,21 @@ def _steps(motion: MotionData, lane: int) -> tuple[Tensor, Signals, Tensor]:
     if valid is not None:  # of a lane that has not failed: all
         valid = torch.where(valid >= count, most, valid)[lane : lane + 1]
     return t, IntegratedSignals(history, signals.integration, data, valid), outputs * ((of_lane - 1) // (count - 1))
+
+
+def _all_steps(motion: MotionData, lane: int) -> tuple[Tensor, Signals, Tensor]:
+    """As `_steps`, at all steps, which are made again where they were not kept."""
+    signals, count = motion.signals, len(motion.t)
+    integration = signals.integration if isinstance(signals, IntegratedSignals) else None
+    sound = integration is not None and not has_failed(motion.status[lane])
+    history = integration.at_all_steps(lane) if integration is not None and sound else None
+    if history is None:
+        return _steps(motion, lane)
+    data = {name: value(x).detach() for name, x in motion.dynamics.select_lanes([lane]).data.items()}
+    t = torch.linspace(0.0, float(untransformed(motion.t[-1])), len(history.q), dtype=torch.float64)
+    expansion = history.expansion and Expansion.of(history.expansion.condensation, data, t)
+    history = replace(history, expansion=expansion, times=t)
+    return t, IntegratedSignals(history, integration, data), torch.arange(count) * ((len(t) - 1) // (count - 1))
 
 
 class _Lane(Signals):

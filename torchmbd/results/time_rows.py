@@ -75,10 +75,20 @@ class TensorSignals(Signals):
         return self._all[name] if rows is None else self._all[name][..., list(rows)]
 
 
-class Multipliers(Protocol):
-    """Gives the multipliers [times, rows, pair, lanes] of all constraints out of those that were integrated."""
+class Integration(Protocol):
+    """How a motion was integrated.
+
+    multipliers      those of all constraints [times, rows, pair, lanes] out of those that were integrated
+    has_checkpoints  whether there are steps between the states that are kept
+    at_all_steps     the states of one lane at all its steps; None: all were kept
+    """
+
+    @property
+    def has_checkpoints(self) -> bool: ...
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor: ...
+
+    def at_all_steps(self, lane: int) -> History | None: ...
 
 
 class StepStates(NamedTuple):
@@ -111,7 +121,7 @@ class IntegratedSignals(Signals):
     def __init__(
         self,
         history: History,
-        integration: Multipliers | None = None,
+        integration: Integration | None = None,
         data: dict[str, Any] | None = None,
         valid_times: Tensor | None = None,
         at_steps: StepStates | None = None,

@@ -84,6 +84,7 @@ class _PhaseLoop:
             self.search = ShortEventSearch(self.event, self.record, self.integrator, multiphase.views, self.times)
         self.g = self.g_first = self._start_values()  # the event's function; at the first points of the grid
         self.first_events: ShortEvents | None = None  # in the steps to these
+        self.first_counts = torch.ones_like(self.alive)  # lanes whose function is more than rounding in these steps
         self.base_time = entry.t  # of lanes that leave, where their last step begins
         self.bracket = Bracket(*torch.zeros(4, self.lanes, dtype=torch.float64))  # of the sizes of their last steps
         self.change = torch.full_like(self.g, torch.inf)  # of the event's function in the step before
@@ -144,7 +145,7 @@ class _PhaseLoop:
         new = torch.zeros_like(self.alive)
         new[lanes] = True
         g, short = torch.where(new, self.g_first, self.g), self.first_events
-        passed = new & self._passed(torch.tensor([i]), torch.stack([self.g, g], 1))[0]
+        passed = new & self._passed(torch.tensor([i]), torch.stack([self.g, g], 1))[0] & self.first_counts
         if short is not None:
             passed = passed | self._occurred(short, new & ~passed, value(self.entry.t)[0])
         counted = (new & ~(passed & self._beyond(i)))[None]
@@ -163,8 +164,11 @@ class _PhaseLoop:
         change = torch.cat([self.change[:, None], (g[:, 1:] - g[:, :-1]).abs()], 1)
         counted = torch.zeros(len(history.q), self.lanes, dtype=torch.bool)
         stepped = counted.clone()
-        of_points = self._passed(torch.arange(i + 1, i + len(history.q)), g)
-        short_events = {} if self.search is None else self.search.in_regular_steps(steps, inside, g, change)
+        of_points, short_events = self._passed(torch.arange(i + 1, i + len(history.q)), g) & inside, {}
+        if self.search is not None:
+            passed = self.search.counted(steps, of_points.T, g)
+            short_events = self.search.in_regular_steps(steps, inside, g, change, passed)
+            of_points = passed.T
         counted[1:] = stepped[1:] = inside
         for k in sorted({k + 1 for k in lane_numbers(of_points.any(1))}.union(short_events)):
             p, self.g = i + k, g[:, k - 1]
@@ -260,7 +264,11 @@ class _PhaseLoop:
         before = self.g[lanes]
         after = self.multiphase.views.value(self.event, lanes, dynamics, t1, self.record.whole(at_end, t1))
         self.g_first = self.g.index_copy(0, torch.tensor(lanes), after)
-        near = lane_numbers(near_zero(before, after, self.change[lanes]) & ~self.event.passed(before, after))
+        ends = self.record.whole(at_start, t), self.record.whole(at_end, t1)
+        counted = self.search.rounding.exceeded(lanes, (t, t1), ends, torch.stack([before, after]))
+        self.first_counts[lanes] = counted
+        passed = self.event.passed(before, after)
+        near = lane_numbers(near_zero(before, after, self.change[lanes]) & ~passed & counted)
         if near:
             some, begin, size = [lanes[i] for i in near], pick_lanes(t, near), pick_lanes(t1 - t, near)
             ends = pick_states(at_start, near), pick_states(at_end, near)

@@ -12,7 +12,7 @@ Checked in tests/integrate/phases/test_short_events.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 
 import torch
@@ -20,6 +20,7 @@ from torch import Tensor
 
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lanes import join_states, lanes_of, pick_lanes, pick_states
+from torchmbd.integrate.phases.event_rounding import EventRounding
 from torchmbd.integrate.phases.events import DIRECTIONS, ROUNDING, Event, Views
 from torchmbd.integrate.phases.phase_record import PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
@@ -82,31 +83,52 @@ class ShortEventSearch:
     views: Views
     times: Tensor
 
+    def __post_init__(self) -> None:
+        h = float(self.times[1] - self.times[0])
+        self.rounding = EventRounding(self.event, self.views, self.record.dynamics, h)
+
+    def counted(self, steps: RegularSteps, mask: Tensor, g: Tensor) -> Tensor:
+        """Those among steps of lanes (a mask [lanes, steps]) at whose ends the function is more than rounding.
+
+        g   the function at the ends of the steps [lanes, points]
+        """
+        result = torch.zeros_like(mask)
+        for k, lanes, t, x in self._parts(steps, mask):
+            whole = [self.record.whole(y.values(), at) for y, at in zip(x, t, strict=True)]
+            values = torch.stack([g[lanes, k], g[lanes, k + 1]])
+            result[lanes, k] = self.rounding.exceeded(lanes.tolist(), t, (whole[0], whole[1]), values)
+        return result
+
     def in_regular_steps(
-        self, steps: RegularSteps, inside: Tensor, g: Tensor, change: Tensor
+        self, steps: RegularSteps, inside: Tensor, g: Tensor, change: Tensor, passed: Tensor
     ) -> dict[int, ShortEvents]:
         """Those of lanes `inside` (a mask), by the number of the step, 1 the first, of all lanes.
 
         g, change   the function at the ends of the steps [lanes, points], and how much it changed before them
+        passed      steps in which it passes zero once [lanes, steps]
         """
         before, after = g[:, :-1], g[:, 1:]
-        passed = self.event.passed(before, after)
         near = near_zero(before, after, change[:, :-1]) & ~passed.cumsum(1).bool() & inside[:, None]
         result: dict[int, ShortEvents] = {}
-        pairs = torch.nonzero(near.T)
-        for part in pairs.split(max(len(inside), _AT_ONCE)) if len(pairs) else ():
-            k, lanes = part.unbind(1)
-            lanes_of_step = {int(i): lanes[k == i].tolist() for i in k.unique()}
-            first, last = (
-                join_states([pick_states(steps.state(steps.first + i + j), some) for i, some in lanes_of_step.items()])
-                for j in (0, 1)
-            )
-            t, t1 = (self.times[steps.first + k + j][None] for j in (0, 1))
-            events = self.in_steps(lanes.tolist(), t, t1 - t, (first, last), (before[lanes, k], after[lanes, k]))
-            for i, some in lanes_of_step.items():
-                of_step = events.select(k == i).in_lanes(some, len(inside))
+        for k, lanes, (t, t1), ends in self._parts(steps, self.counted(steps, near, g)):
+            events = self.in_steps(lanes.tolist(), t, t1 - t, ends, (before[lanes, k], after[lanes, k]))
+            for i in k.unique().tolist():
+                of_step = events.select(k == i).in_lanes(lanes[k == i].tolist(), len(inside))
                 result[i + 1] = result[i + 1].joined(of_step) if i + 1 in result else of_step
         return result
+
+    def _parts(
+        self, steps: RegularSteps, mask: Tensor
+    ) -> Iterator[tuple[Tensor, Tensor, tuple[Tensor, Tensor], tuple[State, State]]]:
+        """Steps of lanes (a mask [lanes, steps]), some at a time: numbers of steps and lanes [m], times and states at both ends."""
+        pairs = torch.nonzero(mask.T)
+        for part in pairs.split(max(len(mask), _AT_ONCE)) if len(pairs) else ():
+            k, lanes = part.unbind(1)
+            some = [(i, lanes[k == i].tolist()) for i in k.unique().tolist()]
+            first, last = (
+                join_states([pick_states(steps.state(steps.first + i + j), at) for i, at in some]) for j in (0, 1)
+            )
+            yield k, lanes, (self.times[steps.first + k][None], self.times[steps.first + k + 1][None]), (first, last)
 
     def in_steps(
         self, lanes: list[int], t: Tensor, h: Tensor, ends: tuple[State, State], g: tuple[Tensor, Tensor]
