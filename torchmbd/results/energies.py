@@ -33,7 +33,6 @@ from torchmbd.results.lane_motion import has_checkpoints, has_lane_times, lane_m
 from torchmbd.results.motion_data import MotionData
 from torchmbd.summary import Summary
 
-
 _REFUSED = (
     "energies of a motion with checkpoint= are being differentiated, but its steps are made again without a gradient; "
     "allowed: checkpoint=1, or energies outside of gradients and torch.func"

@@ -120,7 +120,7 @@ class ShortEventSearch:
     def _parts(
         self, steps: RegularSteps, mask: Tensor
     ) -> Iterator[tuple[Tensor, Tensor, tuple[Tensor, Tensor], tuple[State, State]]]:
-        """Steps of lanes (a mask [lanes, steps]), some at a time: numbers of steps and lanes [m], times and states at both ends."""
+        """Steps of lanes (a mask [lanes, steps]), some at a time: their numbers, lanes [m], times and states at both ends."""
         pairs = torch.nonzero(mask.T)
         for part in pairs.split(max(len(mask), _AT_ONCE)) if len(pairs) else ():
             k, lanes = part.unbind(1)
