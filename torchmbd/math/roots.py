@@ -4,8 +4,8 @@
     next      inverse quadratic interpolation through a, b and the number before, where that is monotonic; else the middle
 
 The first number is that of the secant: the functions here are smooth mostly, and nearly linear between their ends.
-A function may stay zero after its root, as max(0, -x) does. Where f is exactly zero at a root, f a little before shows
-whether it was zero there already; then the first zero is bisected. The root is a number a little before, at which f has a slope.
+A function may stay zero after its root, as max(0, -x) does. Where f is exactly zero at a root, f a little before shows whether
+it is zero there already: then the first zero is bisected, and the root is a number a little before, at which f has a slope.
 Source: Chandrupatla, Adv. Eng. Software 28 (1997) 145-149.
 Checked in tests/math/test_roots.py.
 """
