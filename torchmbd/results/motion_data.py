@@ -64,8 +64,7 @@ class Moment:
 class Switch:
     """The switch of all lanes into a phase; sensitivities follow the time of the switch, which moves with the design.
 
-    t [lanes] (inf: a lane that does not get there), dt_db [lanes, n_b]; before, after: equal positions, and accelerations and
-    multipliers that follow from positions and rates
+    t [lanes] (inf: a lane that does not get there), dt_db [lanes, n_b]; before, after: equal positions
     """
 
     phase: str

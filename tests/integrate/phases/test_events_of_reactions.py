@@ -12,7 +12,6 @@ import pytest
 import torch
 from scipy.integrate import quad
 from torch import Tensor
-from torch.testing import assert_close
 
 import torchmbd as mbd
 from torchmbd.integrate import Trajectory
@@ -120,26 +119,3 @@ def test_a_time_without_a_derivative_is_refused_by_name():
         torch.autograd.grad(reverse.switches[0].t.sum(), list(reverse.variables.values()))
     motion = mbd.simulate(sliding(), 1.2, phases=[mbd.Phase(until=never), mbd.Phase()], gradients="forward", **options)
     assert "its event does not occur" in motion.status[0]
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("gradients", ["forward", "reverse"])
-def test_both_sides_of_a_switch_that_changes_nothing_are_equal(gradients):
-    """Shortly after the start the multipliers of the steps ring; those of a switch follow from positions and rates."""
-    phases = [mbd.Phase(until=0.0501), mbd.Phase()]
-    options = {"phases": phases, "gradients": gradients, "backend": "eager"}
-    motion = mbd.simulate(sliding(), 0.24, steps=12, **options).require_ok()
-    (switch,) = motion.switches
-    angle = torch.atan2(switch.before.q[:, 0], switch.before.q[:, 2]).detach()
-    force = 2.0 * (G * torch.cos(angle) - switch.before.v[:, :3].detach().square().sum(-1))
-    for side in (switch.before, switch.after):
-        assert_close(side.lam[:, 0].abs().detach(), force, rtol=1e-6, atol=0)
-    for name in ("a", "lam"):
-        before, after = (getattr(side, name) for side in (switch.before, switch.after))
-        assert_close(before.detach(), after.detach(), rtol=1e-9, atol=1e-9)
-        if gradients == "forward":
-            slopes = [getattr(side, f"d{name}_db") for side in (switch.before, switch.after)]
-        else:
-            inputs = list(motion.variables.values())
-            slopes = [torch.autograd.grad(x.sum(), inputs, retain_graph=True)[0] for x in (before, after)]
-        assert_close(*slopes, rtol=1e-6, atol=1e-9)

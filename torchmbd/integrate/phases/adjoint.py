@@ -288,13 +288,9 @@ class PhaseAdjoint:
                 by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in bar.switches[number - 1]]
                 outputs.append(t)
                 of_outputs += [None if by_t is None else by_t.reshape(rows, *t.shape), *by_sides]
-                a, lam = x.vd, x.lam
-                if by_sides[2] is not None or by_sides[3] is not None:
-                    ended = lanes_of(multiphase.records[number - 1].dynamics, lanes).with_data(leaves.dynamics.data)
-                    a, lam = multiphase.accelerations_before(number, ended, t, x)
-                outputs += [x.q, x.v, a, lam]
-                lam = after.lam if by_sides[7] is None else multiphase.all_multipliers(number, data, t, after)
-                outputs += [after.q, after.v, after.vd, lam]
+                for side, y, by_lam in ((number - 1, x, by_sides[3]), (number, after, by_sides[7])):
+                    lam = y.lam if by_lam is None else multiphase.all_multipliers(side, data, t, y)
+                    outputs += [y.q, y.v, y.vd, lam]
         for name in MARKED if segment.locks else ():
             if name in data:
                 outputs.append(data[name])

@@ -170,7 +170,7 @@ class MultiphaseRun:
                 Switch(
                     self.segments[number].name,
                     value(t)[0],
-                    self._before(number, phase_exit),
+                    _moment(phase_exit.x, self._multipliers(number - 1, t, phase_exit.x)),
                     _moment(state, self._multipliers(number, t, state)),
                     t.tangent.T if isinstance(t, Pair) else None,
                 )
@@ -187,32 +187,10 @@ class MultiphaseRun:
         dynamics = replace(self.whole, topology=segment.topology, saddle=segment.saddle, initial=initial)
         return dynamics, dynamics.condensed() if self.integrator.condenses else dynamics
 
-    def _before(self, number: int, phase_exit: PhaseExit) -> Moment:
-        """The state of all lanes where a phase begins, before its switch; nan in those that do not get there."""
-        t, x = phase_exit
-        lanes, a, lam = lane_numbers(torch.isfinite(value(t)[0])), x.vd * torch.nan, self._unknown_multipliers(x)
-        if lanes:
-            before, (t, x) = lanes_of(self.records[number - 1].dynamics, lanes), phase_exit.lanes(lanes)
-            of_lanes = self.accelerations_before(number, before, t, x)
-            a, lam = (put_lanes(y, lanes, z) for y, z in zip((a, lam), of_lanes, strict=True))
-        return _moment(phase_exit.x._replace(vd=a), lam)
-
-    def accelerations_before(self, number: int, before: Dynamics, t: Any, x: State) -> tuple[Any, Any]:
-        """Accelerations, and multipliers of all rows, of lanes where a phase begins, by the dynamics of the phase before.
-
-        Those that positions and rates determine: those of a step alternate from step to step (results/ringing.py).
-        """
-        a, lam = at_time(Dynamics.unstabilized_accelerations, before, t, x.q, x.v)
-        return a, self._of_all_rows(number - 1, before.data, t, x, lam)
-
-    def _unknown_multipliers(self, x: State) -> Any:
-        """Of all rows, nan."""
-        rows = self.whole.topology.rows
-        return linear(lambda y: y.new_full((rows, *y.shape[1:]), torch.nan), x.v[:1] * 0.0)
-
     def _multipliers(self, number: int, t: Any, x: State) -> Any:
-        """Multipliers of all rows [rows, ...] after a switch, of redundant ones those of least norm."""
-        lanes, lam = lane_numbers(torch.isfinite(value(t)[0])), self._unknown_multipliers(x)
+        """Multipliers of all rows [rows, ...] on one side of a switch, of redundant ones those of least norm."""
+        lanes, lam = lane_numbers(torch.isfinite(value(t)[0])), x.v[:1] * 0.0
+        lam = linear(lambda y: y.new_full((self.whole.topology.rows, *y.shape[1:]), torch.nan), lam)
         if not lanes:
             return lam
         data = lanes_of(self.whole, lanes).data
@@ -220,14 +198,9 @@ class MultiphaseRun:
 
     def all_multipliers(self, number: int, data: equations.Data, t: Any, x: State) -> Any:
         """Multipliers of all rows from those of a phase or of its condensed system, of redundant ones those of least norm."""
-        c = self.segments[number].condensation
+        least, c = self.least_norm[number], self.segments[number].condensation
         lam = reactions.multipliers_at(c, data, t, x.q, x.v, x.vd, x.lam)
-        return self._of_all_rows(number, data, t, x, lam)
-
-    def _of_all_rows(self, number: int, data: equations.Data, t: Any, x: State, lam: Any) -> Any:
-        """Multipliers of all rows from those of a phase, of redundant ones those of least norm."""
-        least, n = self.least_norm[number], self.whole.topology.rows
-        rows = torch.tensor(self.segments[number].rows, dtype=torch.long)
+        n, rows = self.whole.topology.rows, torch.tensor(self.segments[number].rows, dtype=torch.long)
         lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
         return lam if least is None else least.at_varying_time(data, t, x.q, lam)
 
