@@ -220,6 +220,14 @@ def test_what_a_blade_lacks_is_named(blade, layers, webs, changed, words):
         blade(wing(), layers, webs, **changed)
 
 
+@pytest.mark.parametrize("key", ["E", "nu", "rho"])
+def test_a_number_that_a_material_lacks_has_no_default(blade, key):
+    steel = {name: value for name, value in MATERIALS[0].items() if name != key}
+    result = blade(wing(), [skin("outer", "steel", 2e-3)], [], materials=[steel])
+    with pytest.raises(InputError, match=rf"blade\.yaml: material 'steel': KeyError\('{key}'\)"):
+        result.section(0.5)
+
+
 @pytest.mark.parametrize("y", [[0.0], [0.0, float("nan"), 0.0], [0.0, 0.1, 0.0, 0.2]], ids=["one", "nan", "more"])
 def test_coordinates_that_are_none(blade, y):
     with pytest.raises(InputError, match="coordinates of airfoil"):

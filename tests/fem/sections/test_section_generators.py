@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -95,6 +96,18 @@ def test_a_tube_knows_no_direction():
     assert float((K[[1, 4]][:, [1, 4]] - K[[2, 5]][:, [2, 5]]).abs().max()) < 1e-6
     assert abs(float(K[0, 3])) > 0.1
     assert float(K[[0, 3]][:, [1, 2, 4, 5]].abs().max()) < 1e-9
+
+
+@pytest.mark.parametrize("ratios", [(0.1, 0.45), (0.45, 0.1)])
+def test_torsion_of_two_concentric_materials_is_the_sum(ratios):
+    """Equal moduli E and other shear moduli: G J of both tubes, which do not warp."""
+    metals = [mbd.Ply.isotropic(70e9, nu, 2700.0) for nu in ratios]
+    section = sections.tube(0.02, metals, [0.0, 0.0], [0.009, 0.006], cells=(24, 1))
+    radii = (0.005, 0.014, 0.02)
+    shear = [70e9 / (2.0 * (1.0 + nu)) for nu in ratios]
+    polar = [math.pi / 2.0 * (outer**4 - inner**4) for inner, outer in pairwise(radii)]
+    expected = sum(G * J for G, J in zip(shear, polar, strict=True))
+    assert float(section.stiffness().detach()[3, 3]) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(
