@@ -171,7 +171,7 @@ def test_mass_root_squares_to_the_mass():
     assert isinstance(root, BlockRoot)
     torch.testing.assert_close(root.lower(root.upper(eye)), dense, rtol=0, atol=1e-12)
     torch.testing.assert_close(root.upper_inverse(root.upper(eye)), eye, rtol=0, atol=1e-12)
-    diagonal = DiagonalRoot(layout, M_form.diagonal(M))
+    diagonal = DiagonalRoot(layout.order, M_form.diagonal(M))
     torch.testing.assert_close(diagonal.upper_inverse(diagonal.upper(eye)), eye, rtol=0, atol=1e-14)
 
 

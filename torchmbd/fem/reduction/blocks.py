@@ -20,8 +20,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.forms import Diagonal, Form, lane_name
-from torchmbd.fem.reduction.partition import Partition, form_sums, partition
-from torchmbd.fem.reduction.shift import SAFE_PIVOT
+from torchmbd.fem.reduction.partition import Partition, form_sums
 from torchmbd.math.products import Factor, compiled_products
 
 SMALL = 64  # largest number of rows of blocks that compiled code eliminates; LAPACK is faster for larger ones
@@ -39,30 +38,6 @@ def views(layout: Partition, flat: Tensor) -> tuple[list[Tensor], list[Tensor]]:
     parts = flat.split([r * c for r, c in shapes], dim=1)
     blocks = [part.view(len(flat), *shape) for part, shape in zip(parts, shapes, strict=True)]
     return blocks[: len(sizes)], blocks[len(sizes) :]
-
-
-class Solver:
-    """A^-1 of symmetric positive definite matrices of one form, after `factorize`."""
-
-    factor: BlockFactor
-
-    def __init__(self, form: Form, layout: Partition | None = None) -> None:
-        self.form, self.layout = form, layout or partition(form, Diagonal(form.size))
-
-    def factorize(self, values: Tensor, fault: str) -> None:
-        """Factorize A of values [lane, *entry]; InputError says its lane and `fault` where it is not positive definite."""
-        self.factor = BlockFactor(self.layout, storage(self.layout, self.form, values))
-        weak = self.factor.pivot <= SAFE_PIVOT
-        if weak.any():
-            lane = lane_name(int(weak.nonzero()[0]), len(values))
-            raise InputError(f"K{lane} {fault} without stiffness, or against it; hold more freedoms")
-
-    def solve(self, F: Tensor) -> Tensor:
-        """A^-1 F for columns F [lane, T, N, k]."""
-        lanes, T, N, k = F.shape
-        flat = F.movedim(1, 2).reshape(lanes, N, T * k).index_select(1, self.layout.order)
-        solved = self.factor.solve(flat).index_select(1, self.layout.inverse)
-        return solved.reshape(lanes, N, T, k).movedim(2, 1)
 
 
 class BlockFactor:
@@ -116,8 +91,8 @@ class BlockFactor:
 class DiagonalRoot:
     """G of a diagonal mass [lane, N]."""
 
-    def __init__(self, layout: Partition, values: Tensor) -> None:
-        self.G = values[:, layout.order].sqrt()[:, :, None]
+    def __init__(self, order: Tensor, values: Tensor) -> None:
+        self.G = values[:, order].sqrt()[:, :, None]
 
     def lower(self, X: Tensor) -> Tensor:
         return self.G * X
@@ -179,5 +154,5 @@ class BlockRoot:
 def mass_root(layout: Partition, form: Form, values: Tensor) -> DiagonalRoot | BlockRoot:
     """Factorize M. Raises InputError where it is not positive definite."""
     if isinstance(form, Diagonal):
-        return DiagonalRoot(layout, values)
+        return DiagonalRoot(layout.order, values)
     return BlockRoot(layout, storage(layout, form, values))

@@ -31,7 +31,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import Matrix, parse_pencil
-from torchmbd.fem.reduction.blocks import Solver
+from torchmbd.fem.reduction.elimination import Solver
 from torchmbd.fem.reduction.forms import Dense, Sparse, check, check_positive_diagonal
 from torchmbd.fem.reduction.operator_call import ModeDerivative
 from torchmbd.fem.reduction.transport import Pencil

@@ -22,12 +22,13 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import SimulationFailure
-from torchmbd.fem.reduction.blocks import BlockFactor, BlockRoot, DiagonalRoot, mass_root, storage
+from torchmbd.fem.reduction.blocks import BlockFactor, DiagonalRoot
+from torchmbd.fem.reduction.elimination import Factor, factorize, layout, root
 from torchmbd.fem.reduction.forms import Form
 from torchmbd.fem.reduction.lanczos import Recurrence, Ritz, lanczos
-from torchmbd.fem.reduction.partition import partition
 from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, loses_digits
-from torchmbd.math.products import compiled_products
+from torchmbd.math.products import Factor as CompiledFactor
+from torchmbd.math.products import Products, compiled_products
 
 TOLERANCE = 1e-12  # of the modes, relative to mu
 DERIVATIVE_TOLERANCE = 5e-12  # of their derivatives, relative to c
@@ -43,21 +44,18 @@ class SparseModes:
     complete = False  # some eigenvalues are known
 
     def __init__(self, K_form: Form, M_form: Form, K: Tensor, M: Tensor, n: int) -> None:
-        self.n, self.layout = n, partition(K_form, M_form)
-        self.root = mass_root(self.layout, M_form, M)
+        self.n, self.layout = n, layout(K_form, M_form)
+        self.root = root(self.layout, M_form, M)
 
-        def factorize(shift: Tensor) -> tuple[BlockFactor, Tensor]:
-            flat = storage(self.layout, K_form, K)
-            if shift.any():
-                flat -= shift[:, None] * storage(self.layout, M_form, M)
-            factor = BlockFactor(self.layout, flat)
+        def shifted(shift: Tensor) -> tuple[Factor, Tensor]:
+            factor = factorize(self.layout, K_form, K, M_form, M, shift)
             return factor, factor.pivot
 
-        self.shift, self.factor = choose_shift(K_form.diagonal(K), M_form.diagonal(M), factorize)
+        self.shift, self.factor = choose_shift(K_form.diagonal(K), M_form.diagonal(M), shifted)
         ritz = self._iterate(len(K), 1e-3 if self.shift.any() else TOLERANCE)
         if ritz is not None and (near := loses_digits(self.shift, ritz.mu[:, : n + 1])).any():
             self.shift = comparable_shift(near, self.shift, self.shift[:, None] + 1 / ritz.mu[:, : n + 1])
-            self.factor, _ = factorize(self.shift)
+            self.factor, _ = shifted(self.shift)
             ritz = self._iterate(len(K), TOLERANCE)
         self.exhausted = ritz is None
         if ritz is not None:
@@ -76,15 +74,23 @@ class SparseModes:
             self.U, self.known = torch.where(self.retained, self.U, 0.0), torch.where(self.discarded, self.known, 0.0)
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
-        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self._extend)
+        return lanczos(self._apply, lanes, len(self.layout.order), self.n, tolerance, self._extend)
 
     def _extend(self, recurrence: Recurrence, steps: int) -> None:
         """Extend as `Recurrence.extend`, by compiled code where it exists."""
-        if isinstance(self.root, BlockRoot) or (code := compiled_products(recurrence.X)) is None:
+        if (blocks := self._compiled(recurrence.X)) is None:
             return recurrence.extend(self._apply, steps)
+        code, factor, G = blocks
         state = recurrence.Q, recurrence.T, recurrence.X, recurrence.R
-        code.lanczos(self.factor.compiled, self.root.G, recurrence.steps, steps, *state)
+        code.lanczos(factor, G, recurrence.steps, steps, *state)
         recurrence.steps = steps
+
+    def _compiled(self, like: Tensor) -> tuple[Products, CompiledFactor, Tensor] | None:
+        """Compiled products, and the factor by blocks and diagonal root that they take; None where one is missing."""
+        if isinstance(self.root, DiagonalRoot) and isinstance(self.factor, BlockFactor):
+            code = compiled_products(like)
+            return None if code is None else (code, self.factor.compiled, self.root.G)
+        return None
 
     def _apply(self, X: Tensor) -> Tensor:
         return self.root.upper(self.factor.solve(self.root.lower(X)))
@@ -126,10 +132,11 @@ class SparseModes:
         c = self._discard(self._discard(c))  # twice, for columns that are nearly all retained modes
         target = DERIVATIVE_TOLERANCE * torch.linalg.vector_norm(c, dim=1, keepdim=True) + rounding
         y, r = self._known_solution(c, inverse_mu)
-        if isinstance(self.root, DiagonalRoot) and (code := compiled_products(y)) is not None:
+        if (blocks := self._compiled(y)) is not None:
+            code, factor, G = blocks
             shape = (len(y), 1, y.shape[2])
             limits = inverse_mu.expand(shape), target.expand(shape)
-            if not code.conjugate_gradients(self.factor.compiled, self.root.G, self.U, *limits, y, r, MOST_STEPS):
+            if not code.conjugate_gradients(factor, G, self.U, *limits, y, r, MOST_STEPS):
                 raise SimulationFailure(NO_CONVERGENCE)
             return self._discard(y)
         tiny = torch.finfo(y.dtype).tiny

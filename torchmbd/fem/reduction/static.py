@@ -17,10 +17,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.fem.reduction.blocks import Solver
+from torchmbd.fem.reduction.elimination import Solver, layout
 from torchmbd.fem.reduction.forms import Diagonal, Sparse, check
 from torchmbd.fem.reduction.operator_call import StaticDerivative
-from torchmbd.fem.reduction.partition import partition
 from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.math.vmap import apply_as_lanes
 
@@ -31,7 +30,7 @@ class StaticLoads:
     def __init__(self, pattern: Pattern) -> None:
         self.form = Sparse(pattern, symmetric=True)
         # Here, for a transform of torch.func hides its numbers.
-        self.layout = partition(self.form, Diagonal(pattern.size))
+        self.layout = layout(self.form, Diagonal(pattern.size))
 
     def __call__(self, K: SparseMatrix, F: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes N k"]:
         """K^-1 F. Raises InputError where K is not positive definite."""

@@ -1,0 +1,124 @@
+"""The factorization of positive definite matrices by the cheaper of two methods: dense blocks of a band, or a sparse factor.
+
+Blocks (blocks.py) suit many designs of a slender body: their solves run for all lanes at once in compiled code. A wide body has
+wide blocks, of which blocks store N b numbers and use N b^2 products; a sparse factor (sparse_factor.py) has about N log N
+entries. `layout` compares the seconds of one reduction, a factorization and COLUMNS solves, by the rates below.
+Modes and their derivatives agree to 1e-9.
+Checked in tests/fem/reduction/test_sparse_factor.py.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.reduction.blocks import BlockFactor, BlockRoot, DiagonalRoot, mass_root, storage
+from torchmbd.fem.reduction.forms import Dense, Diagonal, Form, Sparse, lane_name
+from torchmbd.fem.reduction.partition import Partition, partition
+from torchmbd.fem.reduction.shift import SAFE_PIVOT
+from torchmbd.fem.reduction.sparse_factor import SparseFactor, SparseLayout, SparseRoot
+from torchmbd.math.sparse import Pattern
+
+Layout = Partition | SparseLayout
+Factor = BlockFactor | SparseFactor
+Root = DiagonalRoot | BlockRoot | SparseRoot
+
+COLUMNS = 150  # of a reduction: 10 to 15 steps of 8 columns, and some solves for derivatives
+BLOCK_CUBE, BLOCK_ENTRY = 0.6e-9, 0.5e-9  # seconds for each b^3 of a factorization, each entry and column of a solve
+FILL, FILL_ENTRY = 40e-9, 2e-9  # seconds for each entry of L of a factorization, and each entry and column of a solve
+CALLS = 0.02  # seconds: operations of torch between solves, which compiled code does not need for blocks
+
+
+def layout(K_form: Form, M_form: Form) -> Layout:
+    """Return the cheaper layout for K - sigma M."""
+    blocks = partition(K_form, M_form)
+    patterns = tuple(dict.fromkeys(form.pattern for form in (K_form, M_form) if isinstance(form, Sparse)))
+    if not patterns or isinstance(K_form, Dense) or isinstance(M_form, Dense):
+        return blocks
+    return blocks if seconds_of_blocks(blocks) <= seconds_of_fill(*patterns) else _sparse_layout(patterns)
+
+
+def seconds_of_blocks(blocks: Partition) -> float:
+    """Predict the seconds of one reduction by blocks."""
+    size = np.array(blocks.sizes, dtype=float)
+    coupling = size[1:] * size[:-1]
+    products = (size**3).sum()
+    return BLOCK_CUBE * products + COLUMNS * BLOCK_ENTRY * ((size**2).sum() + 2.0 * coupling.sum())
+
+
+def seconds_of_fill(*patterns: Pattern) -> float:
+    """Predict the seconds of one reduction by a sparse factor.
+
+    On plates and boxes of 10,000 to 120,000 freedoms, L has (log2 N - 9) nnz / 2 entries within a fifth.
+    """
+    nnz, size = max(p.nnz for p in patterns), patterns[0].size
+    fill = 0.5 * nnz * max(np.log2(size) - 9.0, 1.0)
+    return CALLS + (FILL + COLUMNS * FILL_ENTRY) * fill
+
+
+@lru_cache(maxsize=16)
+def _sparse_layout(patterns: tuple[Pattern, ...]) -> SparseLayout:
+    size = patterns[0].size
+    diagonal = torch.arange(size)
+    if len(patterns) == 1 and int((patterns[0].rows == patterns[0].cols).sum()) == size:
+        return SparseLayout(patterns[0])
+    rows, cols = (torch.cat([*(getattr(p, name) for p in patterns), diagonal]) for name in ("rows", "cols"))
+    return SparseLayout(Pattern.gather(rows, cols, size)[0])
+
+
+def factorize(
+    layout: Layout,
+    K_form: Form,
+    K: Tensor,
+    M_form: Form | None = None,
+    M: Tensor | None = None,
+    shift: Tensor | None = None,
+) -> Factor:
+    """Factorize K - shift M of values [lane, *entry] and shift [lane]."""
+    shifted = None if M_form is None or M is None or shift is None or not shift.any() else (M_form, M, shift[:, None])
+    if isinstance(layout, Partition):
+        flat = storage(layout, K_form, K)
+        if shifted is not None:
+            flat -= shifted[2] * storage(layout, *shifted[:2])
+        return BlockFactor(layout, flat)
+    lower = layout.lower(K_form, K)
+    if shifted is not None:
+        lower -= shifted[2].numpy() * layout.lower(*shifted[:2])
+    return SparseFactor(layout, lower)
+
+
+def root(layout: Layout, form: Form, values: Tensor) -> Root:
+    """Factorize M = G G'. Raises InputError where it is not positive definite."""
+    if isinstance(layout, Partition):
+        return mass_root(layout, form, values)
+    if isinstance(form, Diagonal):
+        return DiagonalRoot(layout.order, values)
+    return SparseRoot(layout, layout.lower(form, values))
+
+
+class Solver:
+    """A^-1 of symmetric positive definite matrices of one form, after `factorize`."""
+
+    factor: Factor
+
+    def __init__(self, form: Form, rows: Layout | None = None) -> None:
+        self.form, self.layout = form, rows or layout(form, Diagonal(form.size))
+
+    def factorize(self, values: Tensor, fault: str) -> None:
+        """Factorize A of values [lane, *entry]; InputError says its lane and `fault` where it is not positive definite."""
+        self.factor = factorize(self.layout, self.form, values)
+        weak = self.factor.pivot <= SAFE_PIVOT
+        if weak.any():
+            lane = lane_name(int(weak.nonzero()[0]), len(values))
+            raise InputError(f"K{lane} {fault} without stiffness, or against it; hold more freedoms")
+
+    def solve(self, F: Tensor) -> Tensor:
+        """A^-1 F for columns F [lane, T, N, k]."""
+        lanes, T, N, k = F.shape
+        flat = F.movedim(1, 2).reshape(lanes, N, T * k).index_select(1, self.layout.order)
+        solved = self.factor.solve(flat).index_select(1, self.layout.inverse)
+        return solved.reshape(lanes, N, T, k).movedim(2, 1)
