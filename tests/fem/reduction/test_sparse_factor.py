@@ -7,6 +7,7 @@ import torchmbd as mbd
 from tests.fem.reduction.test_sparse_modes import LANES, N, definite, grid, problem
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import elimination, sparse_factor
+from torchmbd.fem.reduction.blocks import BlockFactor
 from torchmbd.fem.reduction.constraint_modes import constraint_modes
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.elimination import Solver, factorize, layout, seconds_of_blocks, seconds_of_fill
@@ -41,6 +42,14 @@ def plate(nx: int, ny: int) -> Pattern:
     return Pattern.gather(rows, cols, 6 * len(node))[0]
 
 
+def definite_plate(pattern: Pattern) -> SparseMatrix:
+    """Random symmetric values, diagonally dominant."""
+    values = -torch.rand(pattern.nnz, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    values = values + values[pattern.transposed]
+    values[pattern.rows == pattern.cols] = 200.0
+    return SparseMatrix(pattern, values, symmetric=True)
+
+
 def test_the_cheaper_method_is_chosen():
     strip, wide = plate(60, 2), plate(60, 60)
     for pattern, kind in ((strip, Partition), (wide, SparseLayout)):
@@ -64,7 +73,7 @@ def test_blocks_cost_more_the_wider_the_body_and_a_sparse_factor_grows_as_its_en
 def test_modes_and_deflated_solves_agree_with_the_dense_route(sparse, free, mass):
     K_form, K, M_form, M = problem(True, free, mass)
     n = 5
-    large, small = (kind(K_form, M_form, K, M, n) for kind in (SparseModes, DenseModes))
+    large, small = SparseModes(K_form, M_form, K, M, n), DenseModes(K_form, M_form, K, M, n)
     assert isinstance(large.layout, SparseLayout)
     assert not large.exhausted
     values, vectors = large.lowest()
@@ -156,7 +165,8 @@ def test_patterns_of_stiffness_and_mass_may_differ(sparse):
     M_pattern = Pattern.gather(torch.cat([band, band[1:], band[:-1]]), torch.cat([band, band[:-1], band[1:]]), N)[0]
     M = torch.where(M_pattern.rows == M_pattern.cols, 2.0, 0.5).to(torch.float64).repeat(LANES, 1)
     K = definite(pattern, 1, 0.5).values
-    large, small = (kind(Sparse(pattern), Sparse(M_pattern), K, M, 3) for kind in (SparseModes, DenseModes))
+    forms = Sparse(pattern), Sparse(M_pattern)
+    large, small = SparseModes(*forms, K, M, 3), DenseModes(*forms, K, M, 3)
     exact = small.eigenvalues()[:, :3]
     assert (large.eigenvalues()[:, :3] - exact).abs().amax() < 1e-10 * exact.amax()
 
@@ -169,3 +179,22 @@ def test_a_missing_library_is_named_once_for_large_bodies(monkeypatch, recwarn):
     messages = [str(w.message) for w in recwarn]
     assert len(messages) == 1
     assert "torchmbd[large]" in messages[0]
+
+
+def test_modes_and_static_solutions_of_one_design_share_one_factorization(monkeypatch):
+    made = []
+    initialize = BlockFactor.__init__
+    monkeypatch.setattr(BlockFactor, "__init__", lambda self, *args: (made.append(self), initialize(self, *args))[1])
+    pattern = plate(30, 2)
+    K = definite_plate(pattern)
+    F = torch.ones(pattern.size, 1, dtype=torch.float64)
+    mass = torch.ones(pattern.size, dtype=torch.float64)
+    first = StaticLoads(pattern)(K, F)
+    basis = mbd.modal_basis(K, mass, 3)
+    assert torch.equal(StaticLoads(pattern)(K, F), first)
+    assert len(made) == 1
+    K.values.mul_(2.0)  # other numbers in the same tensor
+    assert (StaticLoads(pattern)(K, F) - 0.5 * first).abs().amax() < 1e-9 * first.abs().amax()
+    stiffer = mbd.modal_basis(K, mass, 3)
+    assert (stiffer.stiffness - 2.0 * basis.stiffness).abs().amax() < 1e-9 * stiffer.stiffness.abs().amax()
+    assert len(made) == 2

@@ -4,12 +4,15 @@ Blocks (blocks.py) suit many designs of a slender body: their solves run for all
 wide blocks, of which blocks store N b numbers and use N b^2 products; a sparse factor (sparse_factor.py) has about N log N
 entries. `layout` compares the seconds of one reduction, a factorization and COLUMNS solves, by the rates below.
 Modes and their derivatives agree to 1e-9.
+Modes, static loads and stiffening of one design factorize equal numbers on one layout. So `factorize` keeps the factor of the
+latest single design of each layout, as long as the layout lives, and returns it where all numbers are equal.
 Checked in tests/fem/reduction/test_sparse_factor.py.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -29,8 +32,11 @@ Root = DiagonalRoot | BlockRoot | SparseRoot
 
 COLUMNS = 150  # of a reduction: 10 to 15 steps of 8 columns, and some solves for derivatives
 BLOCK_CUBE, BLOCK_ENTRY = 0.6e-9, 0.5e-9  # seconds for each b^3 of a factorization, each entry and column of a solve
-FILL, FILL_ENTRY = 40e-9, 2e-9  # seconds for each entry of L of a factorization, and each entry and column of a solve
+# Seconds for each entry of L of a factorization; each entry and column of a solve with the operators of torch around it.
+FILL, FILL_ENTRY = 40e-9, 4e-9
 CALLS = 0.02  # seconds: operations of torch between solves, which compiled code does not need for blocks
+
+_LATEST: WeakKeyDictionary[Layout, tuple[Tensor, Factor]] = WeakKeyDictionary()  # K [1, *entry] and its factor
 
 
 def layout(K_form: Form, M_form: Form) -> Layout:
@@ -79,15 +85,25 @@ def factorize(
     shift: Tensor | None = None,
 ) -> Factor:
     """Factorize K - shift M of values [lane, *entry] and shift [lane]."""
-    shifted = None if M_form is None or M is None or shift is None or not shift.any() else (M_form, M, shift[:, None])
+    if M_form is not None and M is not None and shift is not None and shift.any():
+        return _shifted(layout, K_form, K, M_form, M, shift)
+    numbers, factor = _LATEST.get(layout, (None, None))
+    if numbers is not None and factor is not None and torch.equal(numbers, K):
+        return factor
     if isinstance(layout, Partition):
-        flat = storage(layout, K_form, K)
-        if shifted is not None:
-            flat -= shifted[2] * storage(layout, *shifted[:2])
+        factor = BlockFactor(layout, storage(layout, K_form, K))
+    else:
+        factor = SparseFactor(layout, layout.lower(K_form, K))
+    if len(K) == 1:
+        _LATEST[layout] = K.detach().clone(), factor
+    return factor
+
+
+def _shifted(layout: Layout, K_form: Form, K: Tensor, M_form: Form, M: Tensor, shift: Tensor) -> Factor:
+    if isinstance(layout, Partition):
+        flat = storage(layout, K_form, K) - shift[:, None] * storage(layout, M_form, M)
         return BlockFactor(layout, flat)
-    lower = layout.lower(K_form, K)
-    if shifted is not None:
-        lower -= shifted[2].numpy() * layout.lower(*shifted[:2])
+    lower = layout.lower(K_form, K) - shift[:, None].numpy() * layout.lower(M_form, M)
     return SparseFactor(layout, lower)
 
 

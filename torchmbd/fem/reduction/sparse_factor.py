@@ -66,7 +66,7 @@ class SparseLayout:
     @cached_property
     def ordered(self) -> tuple[Any, Any]:
         """The pattern as a matrix of cvxopt, and its order by minimum degree."""
-        from cvxopt import amd, matrix, spmatrix  # pyright: ignore[reportMissingImports]
+        from cvxopt import amd, matrix, spmatrix  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
         A = spmatrix(1.0, *(matrix(x.astype(np.int64)) for x in (self.rows, self.cols)), (self.size, self.size))
         return A, amd.order(A)
@@ -95,7 +95,7 @@ class Cholmod(Triangle):
     """L L' by CHOLMOD."""
 
     def __init__(self, layout: SparseLayout, lower: Array) -> None:
-        from cvxopt import cholmod, matrix  # pyright: ignore[reportMissingImports]
+        from cvxopt import cholmod, matrix  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
         pattern, order = layout.ordered
         A = +pattern  # a copy: other threads read the pattern
