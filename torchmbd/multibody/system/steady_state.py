@@ -42,20 +42,22 @@ def unsteady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation:
 
     Forces that move nothing count too: where they change, the loads of joints and the stiffness are unsteady.
     """
-    T, turned = dynamics.topology, q
+    T = dynamics.topology
     if not bool(rotation.spin.any()):
         return ""
-    period = _period(dynamics, t, rotation)
-    for k in range(1, _ANGLES + 1):
-        turned = rotation.turned(T, turned[:, None, None])[:, 0, 0]
-        forces, phi = _loads(dynamics, turned, t + k * period, rotation)
-        change = forces - rotation.turned_forces(T, rest.forces, k)
-        if not float(change.abs().max()) <= small or (phi.numel() and not float(phi.abs().max()) < _SAME):
-            return _OTHERS.format(k)
-    q_after = rotation.turned(T, q[:, None, None])[:, 0, 0]
+    period, angles = _period(dynamics, t, rotation), range(1, _ANGLES + 1)
+    turned = [rotation.turned(T, q[:, None, None])]
+    while len(turned) < _ANGLES:
+        turned.append(rotation.turned(T, turned[-1]))
+    forces, phi = _loads(dynamics, torch.cat(turned, -1), t + period * t.new_tensor(angles), rotation)
+    change = forces - torch.stack([rotation.turned_forces(T, rest.forces, k) for k in angles], -1)
+    same = (change.abs().amax(0) <= small) & (phi.abs() < _SAME).all(0)
+    if not bool(same.all()):
+        return _OTHERS.format(1 + int(same.logical_not().nonzero()[0]))
+    q_after = turned[0][:, 0, 0]
     if rotation.turning is not rotation:
         rest = Linearization.of(dynamics, q, t, observer=rotation)
-    excitation = _prescribed(dynamics, q_after, t + period, rotation)
+    excitation = _prescribed(dynamics, turned[0], t + period, rotation)
     after = Linearization.of(dynamics, q_after, t + period, observer=rotation, excitation=excitation)
     return _changed_tangents(T, rest, after, rotation)
 
@@ -72,20 +74,22 @@ def _period(dynamics: Any, t: Tensor, rotation: SteadyRotation) -> float:
 
 
 def _loads(dynamics: Any, q: Tensor, t: Tensor, rotation: SteadyRotation) -> tuple[Tensor, Tensor]:
-    """Forces without those of joints [n_v], and violations of joints [rows], at q and time t."""
-    T, data, wide = dynamics.topology, dynamics.values().data, q[:, None, None]
-    at = equations.placement(T, data, wide, _prescribed(dynamics, q, t, rotation))
-    forces = equations.dynamic_residual(T, data, at, *rotation.rates(T, wide), q.new_zeros(T.rows, 1, 1))
-    return forces[:, 0, 0], equations.constraints(T, at)[:, 0, 0] if T.rows else q.new_zeros(0)
+    """Forces without those of joints [n_v, n], and violations of joints [rows, n], of states q [n_q, 1, n] at times t [n]."""
+    T, data = dynamics.topology, dynamics.values().data
+    at = equations.placement(T, data, q, _prescribed(dynamics, q, t, rotation))
+    multipliers = q.new_zeros(T.rows, 1, q.shape[-1])
+    forces = equations.dynamic_residual(T, data, at, *rotation.rates(T, q), multipliers)
+    return forces[:, 0], equations.constraints(T, at)[:, 0] if T.rows else q.new_zeros(0, q.shape[-1])
 
 
 def _prescribed(dynamics: Any, q: Tensor, t: Tensor, rotation: SteadyRotation) -> Prescribed:
-    """What drives prescribe at q [n_q] and time t: those between the ground and what turns follow the rotation if they do."""
+    """What drives prescribe at q [n_q, 1, n] and times t [n] or t []: those between the ground and what turns follow the
+    rotation if they do."""
     T, data = dynamics.topology, dynamics.values().data
     excitation = T.prescribed(t, data).values()
     if not rotation.drives_follow:
         return excitation
-    at = equations.placement(T, data, q[:, None, None], excitation)
+    at = equations.placement(T, data, q, excitation)
     on_ground = (T.vector_body == T.vector_body.new_tensor(T.bodies + len(T.prescribed_bodies)))[None, :, None, None]
     laws = list(excitation.laws)
     for i, (kind, vectors, held) in enumerate(zip(T.primitives, at.arguments, T.arguments(on_ground), strict=True)):

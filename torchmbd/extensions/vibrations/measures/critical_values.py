@@ -81,18 +81,17 @@ def _search(
             y = g(x, designs, more, True)
         return float(y), float(torch.autograd.grad(y, x)[0])
 
-    below = at(a)[0] < 0.0
-    p = 0.5 * (a + b)
+    p, (y, slope) = a, at(a)
+    below = y < 0.0
     for _ in range(_STEPS):
-        y, slope = at(p)
-        a, b = (p, b) if (y < 0.0) == below else (a, p)
         new = p - y / slope if slope else a
         new = new if a < new < b else 0.5 * (a + b)
-        done = abs(new - p) <= accuracy * max(abs(a), abs(b))
+        if abs(new - p) <= accuracy * max(abs(a), abs(b)):
+            return new, slope, more
         p = new
-        if done:
-            break
-    return p, at(p)[1], more
+        y, slope = at(p)
+        a, b = (p, b) if (y < 0.0) == below else (a, p)
+    return p, slope, more
 
 
 def _of_lanes(motion: Trajectory, of_lane: Callable[[Designs], Tensor]) -> Tensor:
