@@ -1,6 +1,5 @@
 """The public names of `mbd.` that are of the core; `import torchmbd` alone imports none of them, see torchmbd/__init__.py.
 
-Over 300 lines: a line for each name.
 Checked in tests/test_api.py.
 """
 

@@ -3,7 +3,6 @@
 Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 3 a study is finished and its
 best design is not verified, or the start of `check` not resolved by the steps, 130 interrupted. Of several studies the highest.
 Torch, MLflow, Dask and the experiment layer are imported when a command needs them: the command line answers at once.
-Over 300 lines: a function for each command, with the texts of its arguments.
 """
 
 from __future__ import annotations

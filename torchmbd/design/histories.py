@@ -14,7 +14,6 @@ or of another body (`axes`). Seen from a body with rotation A and origin r, a po
 
 Rates by time are exact except of velocities, accelerations, reactions and components in axes of another body: there they
 come from differences.
-Over 300 lines: a short class for each history.
 """
 
 from __future__ import annotations

@@ -13,7 +13,6 @@
 
 `window` (t0, t1) [s] selects a part of the motion; values at its ends are interpolated.
 Source of SmoothMax: Kreisselmeier and Steinhauser, IFAC Symp. Computer Aided Design of Control Systems (1979) 113-117.
-Over 300 lines: a short class for each measure.
 Checked in tests/contracts/test_responses.py, tests/design/test_measures.py, tests/design/test_frequencies.py.
 """
 

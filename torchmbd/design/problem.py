@@ -12,7 +12,6 @@ with y_0 the largest row of the initial design; of any sign in extra_variable.py
 Designs and evaluations are NumPy arrays, as torchmbd/optimization/optimizer.py requires of a problem: optimizers know no
 mechanics. A batch of designs is one simulation. A design that cannot be simulated is a failed evaluation with its reason; the
 other designs of its batch are evaluated. Limits and scales "initial" come from one simulation of the initial design.
-Over 300 lines: one class, whose arguments are explained and checked here.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ multipliers, the reduced stiffness, the mode shapes. A response that a user writ
     mbd.Max(reach) <= 0.5
 
 Histories, measures and numbers are combined by `+ - * /`, `**` and `abs`.
-Over 300 lines: operators of histories and measures return histories, measures and constraints.
 Checked in tests/contracts/test_responses.py.
 """
 

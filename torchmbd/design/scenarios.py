@@ -12,7 +12,6 @@ are one batch, and the batches are simulated one after another.
 
     {"alone": {}, "in pairs": {"system": build(arms=2), "tool.mass": 0.1}}
 
-Over 300 lines: a batch of several systems provides all that a Problem provides.
 Checked in tests/design/test_scenarios.py.
 """
 

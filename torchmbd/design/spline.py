@@ -15,7 +15,6 @@ earlier one. Knots that move carry total derivatives, so all derivatives contain
 
 Where a history bends within an interval (curve.py), the cubic has other slopes before a knot than after it (slopes.py).
 Integrals are those of the curve itself, so that they, and their slopes, are continuous where the end of a window passes a knot.
-Over 300 lines: each method is a measure of the same knots.
 Checked in tests/design/test_spline.py, tests/design/test_switches.py.
 """
 

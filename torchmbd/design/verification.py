@@ -11,7 +11,6 @@ origin, nor a unit, nor a constant in a response changes the verdict:
 Limits "initial" are those of the initial design there. Of a constraint of several rows the one nearest to its limit is told.
 Over tolerances (RobustProblem) values and errors are those of the nominal design. Ends of other starts are judged where their
 values lie within twice the error of the best one.
-Over 300 lines: what is simulated, and each way in which a design may fail to be verified, stand side by side.
 Checked in tests/design/test_verification.py.
 """
 

@@ -5,7 +5,6 @@
 "generalized_alpha" (default) integrates the index-3 equations with equal steps; every method of torchdiffeq goes by its
 own name on the index-1 form. Both return the same Trajectory and agree within their tolerances
 (tests/convergence/test_two_routes.py).
-Over 300 lines: a third are the arguments of `simulate` and what each of them may be.
 """
 
 from __future__ import annotations

@@ -13,7 +13,6 @@ variables, scaled objective, a cache, and never more than one design at a time; 
 batch is not its business. A failed evaluation is no exception but a status: its numbers are never used.
 
 Constraints should be of order one (a response divided by its limit, minus one): their thresholds are absolute.
-Over 300 lines: results, registry and checks of arguments are one contract.
 Checked in tests/contracts/test_optimizers.py, over the registry.
 """
 

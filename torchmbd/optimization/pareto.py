@@ -14,7 +14,6 @@ batch; its searches start between the designs of the points solved before (warm_
 
 Source: Messac, Ismail-Yahaya and Mattson, The normalized normal constraint method for generating the Pareto frontier,
 Structural and Multidisciplinary Optimization 25 (2003) 86-98. Checked in tests/optimization/test_pareto.py.
-Over 300 lines: the four steps above are read together.
 """
 
 from __future__ import annotations

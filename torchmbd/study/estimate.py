@@ -11,7 +11,6 @@ Simulations of a sweep: its points. Of an optimization: 1.5 for each iteration o
 start ends early. Of a front: the same for each anchor from each start and from each anchor, for each point, and once more for
 each. For methods that choose their steps, a unit of time takes the place of a step. Pictures: one is drawn, its time counts
 for each of their axes. Times are those of this machine without other load.
-Over 300 lines: what is said of the model before a study runs is printed here as well.
 Checked in tests/study/test_estimate.py.
 """
 

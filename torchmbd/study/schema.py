@@ -6,7 +6,6 @@ Numbers of `design`, `links`, `starts.points` and `sweep` are in the unit of the
 `unit` (required for an angle); everything else is SI.
 Pydantic validates strictly (no text for a number, no true for 1) and collects every fault.
 Checked in tests/study/test_load.py.
-Over 300 lines: a short class for each section of the file.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@
 
 Unknowns are entries of parameters of systems and of measurements, in one DesignSpace with bounds and links. Designs of a batch
 are lanes of one motion for each experiment. A design that cannot be simulated has a status, and no numbers.
-Over 300 lines: one class, and the checks of what it is made of.
 Checked in tests/extensions/identification/test_fit_problem.py.
 """
 

@@ -1,6 +1,5 @@
 """The result of an identification: values with intervals, what the data cannot see, and how well model and data agree.
 
-Over 300 lines: a short property for each number of the result.
 Checked in tests/extensions/identification/test_identify.py.
 """
 

@@ -8,7 +8,6 @@ mode whose MAC is too small at the start has no partner and is left out, by name
 the model have no derivatives. Without shapes modes are paired by their order.
 Frequencies are natural ones, those without damping. Sources: Allemang, Sound and Vibration 37 (2003) 14-23 (MAC); the pairs are
 those of scipy.optimize.linear_sum_assignment.
-Over 300 lines: one measurement, and how its modes are paired.
 Checked in tests/extensions/identification/test_modal_data.py.
 """
 

@@ -6,7 +6,6 @@
 
 Tangents are those of one design variable, pullbacks those of one response, so that the code does not depend on how many
 there are; all data may depend on the design.
-Over 300 lines: step, adjoint and rates share the layout of what the drivers pass.
 Checked in tests/extensions/native/test_steps.py.
 """
 

@@ -6,7 +6,6 @@
              strengths (D): arguments on flexible bodies, pairs, pairs with flexible bodies (RT, RP, RF)
 
 What is not a count is part of the kind (`Kind`): one library serves all mechanisms of a kind.
-Over 300 lines: every table of a topology has its symbol here.
 Checked in tests/extensions/native/.
 """
 

@@ -7,7 +7,6 @@
 
 A flexible body can replace a link; its mesh is then in the frame of the link. A joint acts on the node set with the name of the
 joint, else on the node nearest to the joint's position in the file, by a rigid arm.
-Over 300 lines: one builder, from the poses of links to bodies, and to the joints and forces between them.
 Checked in tests/extensions/robots/test_robot.py, test_robot_mjcf.py.
 """
 

@@ -13,7 +13,6 @@ keyframes) and options of the solver. One warning lists elements that would chan
 armature, tendons and contact, and unknown attributes, such as misspelt ones. All others are refused by file, element and
 value, such as deformable or repeated bodies.
 Source: mujoco.readthedocs.io, XML reference. Checked in tests/extensions/robots/test_mjcf.py, test_robot_mjcf.py.
-Over 300 lines: one reader of one tree of elements; numbers, classes and shapes are in mjcf_values.py.
 """
 
 from __future__ import annotations

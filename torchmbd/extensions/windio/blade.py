@@ -6,7 +6,6 @@ airfoils that are placed beside, and this is monotone cubic along the span. Betw
 linear along the span.
 A layer that starts behind its end goes round the trailing edge if that way is the shorter one. Otherwise there is no room for
 it, as for a filler between two layers that overlap, or for a layer that tapers to nothing: it is left out.
-Over 300 lines: one reader of one file, and the checks of its entries.
 Source: windIO 1.x (IEA Wind Task 37). Checked in tests/extensions/test_windio.py, experiments/peers/iea_blade.py.
 """
 

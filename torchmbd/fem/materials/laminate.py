@@ -22,7 +22,6 @@ Differentiable, forward and reverse, in angles, thicknesses and numbers of plies
 Assumed: perfect bond, small strains, plane stress in each ply.
 Source: eqs. (11)-(12) of the paper (the paper's H_2 and H_3 carry z and z^2); Jones, Mechanics of Composite Materials,
 chapter 4; Reddy, Mechanics of Laminated Composite Plates and Shells, section 3.4.
-Over 300 lines: the class that users build, with what elements, masses and stresses need of it.
 Checked in tests/fem/materials/test_laminate.py.
 """
 

@@ -15,7 +15,6 @@ that at which its function g vanishes:
 
 Cotangents have the rows of the responses first: [rows, ...] of a number [...]. None: zero.
 Cost: about a simulation for the first row and half of one for each further one, whatever the number of design variables.
-Over 300 lines: the three maps above and their transposes are read together.
 Checked in tests/sensitivity/test_phase_adjoint.py.
 """
 

@@ -9,7 +9,6 @@ with design tangents. What the adjoint needs is recorded (`PhaseRecord`).
 Steps that are too short for the integrator are not made: the last step of a phase begins one point of the grid earlier instead,
 the first one ends one later, and the points between take the first terms of the Taylor series from the switch.
 
-Over 300 lines: entering, stepping and leaving share what is known of each lane.
 All lanes are stepped together through one phase; the numbers of those that left it, or have not entered it yet, are not used.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """

@@ -3,7 +3,6 @@
 A motion is recorded on one grid of times for all lanes. Lanes pass from phase to phase at their own times t*, between those of
 the grid. A `PhaseExit` has these times and the states there, with *total* derivatives by the design; a `Switch` shows them
 to the user. On the grid, derivatives are taken at fixed times.
-Over 300 lines: locating, leaving and entering phases change one record, that of a run.
 Checked in tests/integrate/phases/test_phase.py.
 """
 

@@ -9,7 +9,6 @@ Mass points, by default lumped as in eq. (2): nodal mass m_k and isotropic nodal
 normal where the center of mass of a laminate is not on its middle surface (fem/elements/plates.py).
 Differentiable, forward and reverse, in every parameter of the parts (fem/reduction/transport.py).
 Assumed: small elastic displacements about the undeformed body.
-Over 300 lines: a quarter are the examples and arguments of the constructors.
 """
 
 from __future__ import annotations

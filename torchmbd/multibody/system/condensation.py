@@ -9,7 +9,6 @@
 Exact: the condensed system has the same motion with fewer unknowns; the slider-crank has 22 of 44. That a subspace, or the turn
 of a drive, satisfies the joints at all poses and not only at the start is tested at poses far from it.
 Coordinates of the whole system, and multipliers of removed rows, follow on demand (expansion.py, reactions.py).
-Over 300 lines: all kinds of bodies are found by the same rows, and the first two by the same trial poses.
 Checked in tests/multibody/system/test_condensation.py: against the same system with nothing condensed.
 """
 

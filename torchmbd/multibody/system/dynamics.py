@@ -14,7 +14,6 @@ diagonal.
 For design tangents the saddle-point matrix is factored once; the right-hand sides of eqs. (31)-(33) are tangents of
 the residual with accelerations and multipliers held fixed.
 Differentiable: plain tensors in reverse mode (torchdiffeq.odeint and backward), design tangents through `rates`.
-Over 300 lines: the equations, their ranks and solves are one class that every method of integration takes.
 Checked in tests/multibody/system/, tests/sensitivity/.
 """
 

@@ -29,7 +29,6 @@ the mass matrix. `Kr` is full: the modes may be rotated among themselves.
 Every function takes tensors or pairs, components first, lanes last (math/pair.py): values, design tangents, the
 index-1 right-hand side and the structural integrator all come from here. The number of operators does not grow with
 the number of bodies or joints.
-Over 300 lines: the equations are one text on purpose, a fifth of it their formulas.
 Checked in tests/multibody/system/test_equations.py (direct nodal sums), tests/physics/ (energy, momentum).
 """
 

@@ -21,7 +21,6 @@ InputError names the joints that do not close, with their residuals; a warning t
 The start of undeformed bodies depends on the attached points and the laws of drives only. Where these do not depend on the
 design, and no velocity needs modal rates, the start of the first design is that of all (`SharedStart`). Positions and
 velocities that are Parameters of bodies are data of a design, "q0" and "v0".
-Over 300 lines: positions, velocities and their derivatives share the steps above.
 Checked in tests/multibody/system/test_initial.py, tests/multibody/system/test_compliant_start.py.
 """
 

@@ -7,7 +7,6 @@ M is a block of the saddle-point matrix; K and C are tangents of the residual of
 multipliers, so they include weight, pretension and all other forces. lam: least squares of the forces at rest.
 Who measures x is an observer (steady_rotation.py). To one who turns with a steady rotation K has centrifugal forces, C those of
 Coriolis.
-Over 300 lines: the matrices of one state and its natural frequencies, which share what counts as zero.
 Checked in tests/multibody/system/test_equilibrium.py: pendulums in closed form, a swinging beam.
 """
 

@@ -8,7 +8,6 @@
 
 With `Slopes`, the derivatives of all other forces by coordinates and rates, the same text makes the iteration matrix of an
 implicit integrator.
-Over 300 lines: one block for each term of equations.py.
 Checked in tests/multibody/system/test_equations.py: every column is the difference of the residual that it stands for.
 """
 

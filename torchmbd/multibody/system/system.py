@@ -4,7 +4,6 @@ The design variables are the parameters of the module by their names, for exampl
 share a laminate share its angles. A batch of designs is the same module with leading lane axes on its parameters:
 
     dynamics = system.dynamics({"rod.laminate.angles": angles}, tangents=True)     angles [lanes, layers]
-Over 300 lines: the class that users build, with all that it offers.
 """
 
 from __future__ import annotations

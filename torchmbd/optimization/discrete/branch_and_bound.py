@@ -11,7 +11,6 @@ Exact where the problem is convex; otherwise the pruning trusts local minima, an
 Source: Dakin, A tree-search algorithm for mixed integer programming problems, Computer J. 8 (1965) 250-255 (branching);
 Gupta and Ravindran, Branch and bound experiments in convex nonlinear integer programming, Management Science 31 (1985)
 1533-1546. Checked in tests/optimization/discrete/test_branch_and_bound.py.
-Over 300 lines: the four steps above are read together.
 """
 
 from __future__ import annotations

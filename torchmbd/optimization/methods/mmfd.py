@@ -19,7 +19,6 @@ tighter (DOT: DELOBJ 1e-3, CTMIN 3e-3 at the end also) and the first step is lon
 Source: Vanderplaats, An efficient feasible directions algorithm for design synthesis, AIAA J. 22 (1984) 1633-1640;
 Vanderplaats, Numerical Optimization Techniques for Engineering Design; DOT user's manual (options and criteria). Own
 text throughout. Checked in tests/contracts/test_optimizers.py and tests/optimization/test_counts.py.
-Over 300 lines: the four steps above, and each way in which a run ends.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@
     Table    integers that are known at run time, for `index_select` and `SymbolicSegmentSum` (segment_sum.py)
 
 Operators of torch are in operators.py. Another operator, or shapes that do not fit for every size, raise `Untraceable`.
-Over 300 lines: the classes of traced tensors use each other.
 Checked in tests/extensions/native/codegen/test_array.py: against torch.
 """
 

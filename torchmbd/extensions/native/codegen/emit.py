@@ -4,7 +4,6 @@
 
 `in` has pointers to inputs and outputs, sizes `n`, tables, scratch memory `w` and the offsets `o` of buffers in it.
 A sum over an inner axis is a local variable; numbers that do not depend on a loop variable are computed before the loop.
-Over 300 lines: the C++ of all operations and of the loops around them depends on each other.
 Checked in tests/extensions/native/codegen/.
 """
 

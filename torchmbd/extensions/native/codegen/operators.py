@@ -1,7 +1,4 @@
-"""Operators of torch on arrays with loops (array.py).
-
-Over 300 lines: a short function for each operator.
-"""
+"""Operators of torch on arrays with loops (array.py)."""
 
 from __future__ import annotations
 

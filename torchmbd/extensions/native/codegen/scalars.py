@@ -6,7 +6,6 @@
 Multiplications by zero and one, index tables, gathers, reshapes and concatenations make no operations: a body without an
 eccentric mass, a constant direction or an absent tangent costs nothing. The other operations become C++ (codegen/).
 Only operators of fixed shape without branches can be translated; others raise `Untraceable`.
-Over 300 lines: a short method for each operator of torch.
 Checked in tests/extensions/native/codegen/test_scalars.py.
 """
 
