@@ -299,7 +299,7 @@ class OptimizationResult(Summary):
 
 Method = Callable[..., Ending]
 OPTIMIZERS: dict[str, Method] = {}
-DEFAULT_METHOD = "slsqp"  # it needs the fewest simulations (docs/reference/optimization.md)
+DEFAULT_METHOD = "slsqp"  # fewer simulations than mmfd in most cases compared in docs/reference/optimization.md
 
 
 DENSE: set[str] = set()  # names of the methods that hold matrices of n x n numbers
