@@ -106,3 +106,38 @@ def test_a_system_without_vibrations_has_none():
 def test_wrong_arguments_are_named(change, message):
     with pytest.raises(mbd.InputError, match=message):
         mbd.campbell(**{"system": masses(), "speeds": [0.0, 1.0]} | change)
+
+
+def tilting_disk(stiffness: tuple[float, float]) -> mbd.System:
+    """A disk of 2 kg, about its axis x 0.015, across 0.01 kg m2, in springs for its motion across and for its tilt."""
+    body = mbd.RigidBody("disk", 2.0, (0.015, 0.01, 0.01))
+    tilt = (0.0, 30.0, 30.0)
+    return mbd.System([body], forces=[mbd.Bushing(GROUND.at(), body.at(), (5e5, *stiffness), turning_stiffness=tilt)])
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("observer", ["ground", "turning"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_forward_and_backward_whirl_are_told_apart(observer, sign):
+    """Tilt: w^2 J - w Jp speed = k; forward whirl is the faster one, whoever sees it and whichever way it rotates."""
+    speeds = torch.linspace(1.0, 25.0, 7, dtype=torch.float64)
+    axis = (sign, 0.0, 0.0)
+    result = mbd.campbell(tilting_disk((8e3, 8e3)), speeds, axis=axis, observer=observer, modes=6)
+    assert result.status == ["ok"]
+    for k, speed in enumerate(speeds.tolist()):
+        half, shift = 0.75 * speed, math.sqrt(4e3)
+        root = math.sqrt(half**2 + 3e3)
+        lines = [(1, root + half), (1, shift), (-1, root - half), (-1, shift), (0, 500.0)]
+        if observer == "turning":
+            lines = [(sense, abs(w - sense * speed)) for sense, w in lines]
+        w = 2.0 * math.pi * result.frequencies[0, k]
+        seen = sorted(zip(result.whirl[0, k].tolist(), w.tolist(), strict=True))
+        for line, expected in zip(seen, sorted(lines), strict=True):
+            assert line == pytest.approx(expected, rel=1e-7)
+
+
+@pytest.mark.thorough
+def test_unequal_bearings_and_rest_have_no_single_sense():
+    result = mbd.campbell(tilting_disk((8e3, 3e3)), [0.0, 5.0], axis="x", observer="ground", modes=6)
+    assert result.whirl[0, 0].tolist() == [0] * 5
+    assert sorted(result.whirl[0, 1].tolist()) == [-1, 0, 0, 0, 1]  # tilts alone whirl

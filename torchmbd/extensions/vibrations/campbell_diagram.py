@@ -6,6 +6,7 @@ may pass through zero, and turns the other way behind it. So a vibration keeps i
 veer the shapes exchange gradually: numbers follow the curves by small steps, and shapes by steps across the veering. A
 vibration whose likeness falls below LOST is nan from there on, and the status says so: steps between speeds are too large, or
 it has become a part of several.
+Which way a vibration whirls comes from its order m and its frequency in axes of a fixed observer (whirl.py).
 Checked in tests/extensions/vibrations/test_campbell_diagram.py.
 """
 
@@ -17,7 +18,7 @@ from typing import NamedTuple
 
 import scipy.optimize
 import torch
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 from torch import Tensor
 
 from torchmbd.errors import InputError, checked_signature
@@ -25,6 +26,7 @@ from torchmbd.extensions.vibrations.eigenvalues import POLES
 from torchmbd.extensions.vibrations.likeness import Shapes
 from torchmbd.extensions.vibrations.spectrum import SWINGS, Spectrum
 from torchmbd.extensions.vibrations.steady_states import Shaft, SteadyStates, steady_states
+from torchmbd.extensions.vibrations.whirl import Whirl
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.system import System
@@ -44,6 +46,8 @@ class Campbell(NamedTuple):
     damping_ratios  -Re s / |s| [designs, k, n] [-], negative where the vibration grows
     poles           s [designs, k, n] [1/s]
     status          of each design "ok", or which vibrations are lost
+    whirl           [designs, k, n]: 1 forward, with the rotation; -1 backward; 0 at rest, neither (along the axis, torsion), or
+                    several at once, as of unequal bearings and of blades
 
     >>> drawn = mbd.campbell(mbd.examples.pendulum(), [0.0], modes=1)
     >>> drawn.status, round(drawn.frequencies.item(), 3)
@@ -55,6 +59,7 @@ class Campbell(NamedTuple):
     damping_ratios: Float[Tensor, "designs k n"]
     poles: Complex[Tensor, "designs k n"]
     status: list[str]
+    whirl: Int[Tensor, "designs k n"]
 
 
 @checked_signature
@@ -90,19 +95,39 @@ def campbell(
         raise InputError(f"modes is {modes!r}; allowed: 1, 2, ...")
     shaft = Shaft(axis, center, observer)
     states = steady_states(system, speeds, shaft, designs)
-    follower = _Follower(outside_transforms(Tensor.tolist, _speeds(states, shaft)), modes)
+    follower = _Follower(
+        outside_transforms(Tensor.tolist, _speeds(states, shaft)), modes, _Senses(system, states, shaft)
+    )
     s = states.eigenvalues(POLES, follower)
     numbers = follower.numbers
     place = torch.searchsorted(follower.chosen, numbers.clamp_min(0))
     s = s.gather(-1, place) if len(follower.chosen) else place.to(s.dtype)
     none = torch.complex(*(torch.full(s.shape, torch.nan, dtype=torch.float64) for _ in range(2)))
     s = torch.where(numbers >= 0, s, none)
-    return Campbell(_speeds(states, shaft), s.imag.abs() / (2.0 * math.pi), -s.real / s.abs(), s, follower.status)
+    frequencies, damping_ratios = s.imag.abs() / (2.0 * math.pi), -s.real / s.abs()
+    return Campbell(_speeds(states, shaft), frequencies, damping_ratios, s, follower.status, follower.whirl)
 
 
 def _speeds(states: SteadyStates, shaft: Shaft) -> Tensor:
     """Speeds [k] [rad/s]."""
     return (states.dynamics.data[SPIN][:, 0, : states.speeds] * shaft.direction[:, None]).sum(0)
+
+
+class _Senses:
+    """Which way the vibrations of a lane whirl."""
+
+    def __init__(self, system: System, states: SteadyStates, shaft: Shaft):
+        self.q, self.count, self.turns = states.q.detach(), states.speeds, shaft.observer == TURNING
+        center = torch.as_tensor(shaft.center, dtype=torch.float64)
+        designs = self.q.shape[-1] // states.speeds
+        modes = [{name: x[i if len(x) > 1 else 0].detach() for name, x in states.modes.items()} for i in range(designs)]
+        self.whirls = [Whirl(system, states.dynamics.topology, each, shaft.direction, center) for each in modes]
+
+    def __call__(self, lane: int, spectrum: Spectrum, speed: float) -> Tensor:
+        """1, -1 or 0 of each pole [k], as of `Campbell`."""
+        m = self.whirls[lane // self.count].orders(spectrum, self.q[:, 0, lane])
+        seen = spectrum.values.imag + (m * speed if self.turns else 0.0)
+        return (seen * m * speed).nan_to_num(0.0).sign().long()
 
 
 class _Follower:
@@ -111,10 +136,12 @@ class _Follower:
     numbers  of the poles [designs, speeds, n], -1 where a vibration is lost
     chosen   all of these numbers, ascending
     status   of each design
+    whirl    of these poles [designs, speeds, n]
     """
 
-    def __init__(self, speeds: list[float], modes: int):
-        self.speeds, self.modes = speeds, modes
+    def __init__(self, speeds: list[float], modes: int, senses: _Senses):
+        self.speeds, self.modes, self.senses = speeds, modes, senses
+        self.whirl = torch.zeros(0, 0, 0, dtype=torch.long)
         self.numbers = self.chosen = torch.zeros(0, 0, 0, dtype=torch.long)
         self.status: list[str] = []
 
@@ -126,6 +153,10 @@ class _Follower:
         self.numbers = torch.stack([numbers[:, :n] for numbers, _ in followed])
         self.chosen = self.numbers[self.numbers >= 0].unique()
         self.status = [self._status(lost) for _, lost in followed]
+        senses = [self.senses(k, x, self.speeds[k % count]) for k, x in enumerate(spectra)]
+        pairs = zip(senses, self.numbers.flatten(0, 1), strict=True)
+        whirl = torch.stack([torch.where(at >= 0, sense[at.clamp_min(0)], 0) for sense, at in pairs])
+        self.whirl = whirl.unflatten(0, (-1, count))
         return self.chosen.tolist()
 
     def _of_design(self, states: Sequence[Shapes]) -> tuple[Tensor, dict[int, int]]:

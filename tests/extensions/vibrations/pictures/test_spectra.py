@@ -66,6 +66,21 @@ def test_rounding_is_no_growth_and_no_label_lies_on_another():
     assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
 
 
+def test_the_dashes_of_a_line_tell_its_whirl():
+    """A line has a piece for each sense, and the pieces are the line."""
+    whirl = torch.ones(31, 2, dtype=torch.long)
+    whirl[0], whirl[:, 0], whirl[20:, 0] = 0, -1, 0
+    top = mbd.viz.campbell(SPEEDS, FREQUENCIES, orders=(), whirl=whirl).axes[0]
+    lines = [line for line in top.lines if len(line.get_xdata()) > 2]
+    ends = [(line.get_linestyle(), float(line.get_xdata()[0]), float(line.get_xdata()[-1])) for line in lines]
+    assert ends == [("--", 0.0, 190.0), (":", 190.0, 300.0), ("-", 0.0, 300.0)]
+    assert [x.get_text() for x in top.get_legend().get_texts()] == [
+        "forward whirl",
+        "backward whirl",
+        "neither, or several",
+    ]
+
+
 def test_root_locus_draws_upper_poles_and_leaves_room_for_those_that_swing(tmp_path):
     c = torch.linspace(0.0, 6.0, 7, dtype=torch.float64)
     swinging = torch.complex(0.3 - 0.3 * c, 4.0 + 0.0 * c)

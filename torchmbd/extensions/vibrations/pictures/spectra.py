@@ -6,6 +6,7 @@ Checked in tests/extensions/vibrations/pictures/test_spectra.py.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -26,11 +27,17 @@ _WRITTEN = 14  # crossings with a number beside them, at most
 #: Damping ratio that is rounding: slow poles of stiff rotors have 3e-6.
 UNDAMPED = 1e-5
 _LETTER = 0.62  # width of a letter by its size
+_SENSES = {1: ("-", "forward whirl"), -1: ("--", "backward whirl"), 0: (":", "neither, or several")}
 
 
 @checked_signature
 def campbell(
-    speeds: Any, frequencies: Any, damping: Any = None, orders: Sequence[float] = (1, 2, 3), title: str = ""
+    speeds: Any,
+    frequencies: Any,
+    damping: Any = None,
+    orders: Sequence[float] = (1, 2, 3),
+    title: str = "",
+    whirl: Any = None,
 ) -> Figure:
     """Frequencies over speed with lines of 1, 2, 3 vibrations per revolution; their crossings are marked by the speed.
 
@@ -38,6 +45,7 @@ def campbell(
     frequencies  [k, n] [Hz], a column for each vibration; nan where there is none
     damping      damping ratios [k, n] [-], in a second panel; both panels mark those below -0.001 %, which grow
     orders       vibrations per revolution
+    whirl        [k, n], as of `mbd.campbell`: forward whirl is drawn solid, backward dashed, all else dotted; None: all solid
 
     >>> speeds = torch.linspace(0.0, 300.0, 31, dtype=torch.float64)
     >>> frequencies = torch.stack([20.0 - 0.02 * speeds, 20.0 + 0.03 * speeds], 1)
@@ -57,8 +65,13 @@ def campbell(
     ratios = None if zeta is None else (3, 1.2)
     figure, axes = figure_of(4.2 if zeta is None else 5.6, rows=1 if zeta is None else 2, ratios=ratios)
     top = axes[0]
-    for k, column in enumerate(f.T):
-        top.plot(x, column, color=CYCLE[k % len(CYCLE)], lw=1.4)
+    if whirl is None:
+        for k, column in enumerate(f.T):
+            top.plot(x, column, color=CYCLE[k % len(CYCLE)], lw=1.4)
+    else:
+        senses = _numbers("whirl", whirl)
+        _require_columns("whirl", senses, x, f.shape[1])
+        _whirls(top, x, f, senses)
     height = 1.08 * float(np.nanmax(f))
     top.set(xlim=(float(x[0]), float(x[-1])), ylim=(0.0, height), ylabel="frequency [Hz]")
     _orders(top, x, f, orders, height)
@@ -70,6 +83,20 @@ def campbell(
     turns.tick_params(labelsize=8)
     turns.spines["top"].set_visible(False)
     return titled(figure, title)
+
+
+def _whirls(axes: Any, x: Any, f: Any, senses: Any) -> None:
+    """Draw lines whose dashes tell the sense; between two speeds it is that at the second, since nothing whirls at rest."""
+    drawn: dict[str, Any] = {}
+    for k in range(f.shape[1]):
+        cuts = [0, *(np.diff(senses[1:, k]).nonzero()[0] + 1).tolist(), len(x) - 1]
+        for first, last in itertools.pairwise(cuts):
+            dashes, label = _SENSES[int(senses[last, k])]
+            piece = slice(first, last + 1)
+            (line,) = axes.plot(x[piece], f[piece, k], dashes, color=CYCLE[k % len(CYCLE)], lw=1.4)
+            drawn.setdefault(label, line)
+    labels = [label for _, label in _SENSES.values() if label in drawn]
+    axes.legend([drawn[label] for label in labels], labels, fontsize=8, frameon=False, loc="best")
 
 
 @checked_signature

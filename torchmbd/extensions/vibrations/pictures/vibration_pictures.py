@@ -99,6 +99,8 @@ def _diagrams(diagram: Campbell, measures: Sequence[OfVibrations], words: Sequen
     for lane, name in enumerate(("start", "best")):
         arguments: dict[str, Any] = {"speeds": diagram.speeds, "frequencies": diagram.frequencies[lane]}
         arguments |= {"damping": diagram.damping_ratios[lane] if damped else None, "orders": _orders(measures)}
+        whirl = diagram.whirl[lane]
+        arguments["whirl"] = whirl if bool(whirl.any()) else None  # blades do not whirl
         files = [f"campbell_{name}{end}.png", f"campbell_{name}{end}.pdf"]
         draw(spectra.campbell, files, **arguments, title=f"{labels[lane]}: {title}")
     if any(isinstance(m, (DampingRatio, StabilityMargin, StabilityLimit)) for m in measures):
