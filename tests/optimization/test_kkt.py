@@ -25,7 +25,7 @@ def least_length(evaluation: Evaluation, y: np.ndarray, equality: np.ndarray) ->
 
 @pytest.mark.thorough
 def test_constraints_and_bounds_take_what_they_can():
-    """Of random designs, some of them optimal, with several constraints and bounds that are active."""
+    """Random designs, some of them optimal, with several constraints and bounds that are active."""
     rng = np.random.default_rng(3)
     for case in range(600):
         n, m = int(rng.integers(1, 12)), int(rng.integers(0, 8))

@@ -76,7 +76,7 @@ class IntegratedMotion:
 
     @property
     def has_checkpoints(self) -> bool:
-        """Whether there are steps between the states that are kept."""
+        """Return True where there are steps between the states that are kept."""
         return isinstance(self.integrator, OneStep) and self.integrator.checkpoint > 1
 
     @torch.no_grad()

@@ -6,7 +6,7 @@ may pass through zero, and turns the other way behind it. So a vibration keeps i
 veer the shapes exchange gradually: numbers follow the curves by small steps, and shapes by steps across the veering. A
 vibration whose likeness falls below LOST is nan from there on, and the status says so: steps between speeds are too large, or
 it has become a part of several.
-Which way a vibration whirls comes from its order m and its frequency in axes of a fixed observer (whirl.py).
+The order m of a vibration and its frequency in axes of a fixed observer tell which way it whirls (whirl.py).
 Checked in tests/extensions/vibrations/test_campbell_diagram.py.
 """
 
@@ -114,7 +114,7 @@ def _speeds(states: SteadyStates, shaft: Shaft) -> Tensor:
 
 
 class _Senses:
-    """Which way the vibrations of a lane whirl."""
+    """The sense in which the vibrations of a lane whirl."""
 
     def __init__(self, system: System, states: SteadyStates, shaft: Shaft):
         self.q, self.count, self.turns = states.q.detach(), states.speeds, shaft.observer == TURNING

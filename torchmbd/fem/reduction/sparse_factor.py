@@ -34,7 +34,7 @@ SLOW = 20_000  # freedoms from which a warning says that CHOLMOD is missing
 
 
 class SparseLayout:
-    """What all matrices of one pattern share: their lower triangle by columns, and its order.
+    """The lower triangle by columns, and its order, which all matrices of one pattern share.
 
     order, inverse   as of `Partition`: the freedoms keep their order here
     """
