@@ -50,7 +50,7 @@ def own(folder, empty_store, monkeypatch):
 @pytest.fixture
 def small() -> mbd.Study:
     starts = mbd.sobol(2, seed=7, include_initial=True)
-    return mbd.Study(problem(), starts, name="small", max_iterations=2, question="Which angles?", experiment="py")
+    return mbd.Study(problem(), starts, "mmfd", name="small", max_iterations=2, question="Which angles?", experiment="py")
 
 
 @pytest.mark.thorough
@@ -233,7 +233,7 @@ def test_scenarios_are_a_study_like_any_other(own):
         variables=["rod.laminate.angles"],
         bounds=mbd.deg([-90, 90]),
     )
-    result = mbd.Study(asked, mbd.sobol(2, seed=1), name="cases", max_iterations=2).run(console=QUIET)
+    result = mbd.Study(asked, mbd.sobol(2, seed=1), "mmfd", name="cases", max_iterations=2).run(console=QUIET)
     assert result.status == "FINISHED"
     assert result.columns.names == ("angle_1_deg", "angle_2_deg")
     assert result.best.value <= asked.evaluate(asked.start[None], False)[0].objective

@@ -148,6 +148,15 @@ class StaticIntegration:
         """The last time [s]."""
         return float(self.times[-1])
 
+    @property
+    def has_checkpoints(self) -> bool:
+        """Return False: every equilibrium is kept."""
+        return False
+
+    def at_all_steps(self, lane: int) -> None:
+        """Return None: every equilibrium is kept."""
+        return None
+
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         self.dynamics = replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
         q, _ = self.dynamics.initial.solve(self.dynamics)
