@@ -17,7 +17,7 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.documentation.blocks import FENCE, inserted
+from experiments.documentation.blocks import FENCE, runnable
 from torchmbd import cli
 from torchmbd.study.load import load
 
@@ -34,7 +34,7 @@ class Block(NamedTuple):
 
 def blocks(page: Path) -> list[Block]:
     """All blocks of a page."""
-    text = inserted(page.read_text(encoding="utf-8"))
+    text = runnable(page.read_text(encoding="utf-8"))
     return [
         Block(m["language"], m["title"], m["text"], text.count("\n", 0, m.start("text")), m["comment"] is not None)
         for m in FENCE.finditer(text)

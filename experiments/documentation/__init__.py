@@ -1,6 +1,6 @@
 """What docs/ has that is computed. docs/develop.md builds the site.
 
-hooks, reference, blocks, docstrings   parts of pages that mkdocs and the tests put in: tables, blocks of code, signatures
+generated, reference, blocks, hooks    parts of pages that come from the program, blocks of code, equations
 validation, recorded                   pages of docs/validation: `python -m experiments.documentation.validation --list`
 pictures, animated_svg                 docs/images: `python -m experiments.documentation.pictures falling_arm`
 notebooks                              tutorials as notebooks: `python -m experiments.documentation.notebooks`

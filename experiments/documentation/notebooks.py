@@ -14,7 +14,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from experiments.documentation.blocks import FENCE, inserted
+from experiments.documentation.blocks import FENCE
+from experiments.documentation.generated import MARK
 
 DOCS = Path(__file__).parents[2] / "docs"
 FOLDER = DOCS / "tutorials"
@@ -34,7 +35,7 @@ def pages() -> list[Path]:
 
 def notebook(page: Path) -> dict[str, Any]:
     """The notebook of a page, as a mapping that JSON holds."""
-    text = inserted(page.read_text(encoding="utf-8"))
+    text = MARK.sub(lambda mark: mark["text"], page.read_text(encoding="utf-8"))
     text = re.sub(r"\A---\n.*?^---\n", "", text, flags=re.DOTALL | re.MULTILINE)
     text = re.sub(r"^\[[^\]]+\]\(\w+\.ipynb\).*\n\n", "", text, flags=re.MULTILINE)
     cells: list[tuple[str, str]] = []

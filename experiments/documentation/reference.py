@@ -1,20 +1,25 @@
 """Pages of the reference that come from the program: public names, keys of experiment files, commands.
 
-Each function returns Markdown; hooks.py puts it where a page says `<!-- insert: name -->`.
+Each function returns Markdown; generated.py writes it into the pages.
 Checked in tests/experiments/test_documentation.py.
 """
 
 from __future__ import annotations
 
+import functools
+import inspect
 import sys
 import tempfile
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from unittest.mock import patch
 
 import torchmbd as mbd
+from torchmbd.registry import public_names
 from torchmbd.study.json_schema import json_schema
 from torchmbd.study.scaffold import write_experiment
 
@@ -50,15 +55,113 @@ GROUPS: dict[str, str] = {
 }
 
 
-def group(names: str) -> str:
-    """The public names of a group: an instruction of mkdocstrings for each, with the module that it stands in."""
-    return "\n".join(f"::: {_path(name)}\n" for name in GROUPS[names].split())
+_WIDTH = 110  # characters of a signature in one line
+_HIDDEN = ("equations", "actions")  # methods of the contracts, which docs/how-to/extend.md explains
 
 
-def _path(name: str) -> str:
-    entry = attrgetter(name)(mbd)
-    module = getattr(entry, "__module__", None)  # a module has none
-    return entry.__name__ if module is None else f"{module}.{entry.__qualname__}"
+def group(name: str) -> str:
+    """The public names of a group with signatures, docstrings and methods, each below its heading."""
+    entries = GROUPS[name].split()
+    return "\n".join(_entry(entry, attrgetter(entry)(mbd), 3, entries) for entry in entries)
+
+
+def _entry(name: str, entry: Any, level: int, others: Collection[str] = ()) -> str:
+    """A name with its members; members of a module that are among the names `others` have a place of their own."""
+    head = f"{'#' * level} {name}\n"
+    text = verbatim_columns(entry.__doc__ or "")
+    if isinstance(entry, ModuleType):
+        members = [(f"{name}.{key}", getattr(entry, key)) for key in _names(name, entry)]
+        members = [(key, member) for key, member in members if key not in others and not _is_public(member)]
+    else:
+        head += f"\n```python\n{_signature(name, entry)}\n```\n"
+        members = [(f"{name}.{key}", member) for key, member in _methods(entry)]
+    return "\n".join([head, text, *(_entry(key, member, level + 1) for key, member in members)])
+
+
+def _names(name: str, module: ModuleType) -> list[str]:
+    """Names that a public module and its extensions offer, functions and classes with a docstring alone."""
+    defined = [key for key, x in vars(module).items() if getattr(x, "__module__", None) == module.__name__]
+    names = [key for key in getattr(module, "__all__", defined) if not key.startswith("_")]
+    names += [key.removeprefix(f"{name}.") for key in public_names() if key.startswith(f"{name}.")]
+    return [key for key in dict.fromkeys(names) if callable(x := getattr(module, key)) and x.__doc__]
+
+
+def _is_public(entry: Any) -> bool:
+    return any(getattr(mbd, key) is entry for key in mbd.__all__)
+
+
+def _methods(entry: Any) -> Iterator[tuple[str, Any]]:
+    """Methods and properties that a class defines and explains."""
+    for key, member in vars(entry).items() if inspect.isclass(entry) else ():
+        member = getattr(member, "__func__", member)
+        kinds = (property, functools.cached_property)
+        if key[0] != "_" and key not in _HIDDEN and member.__doc__ and (callable(member) or isinstance(member, kinds)):
+            yield key, member
+
+
+def _signature(name: str, entry: Any) -> str:
+    """Name, arguments and result as in the source: in one line, or a line for each argument."""
+    if isinstance(entry, property | functools.cached_property):
+        get = entry.fget if isinstance(entry, property) else entry.func
+        return f"{name}{_result(inspect.signature(get), ': ')}"  # pyright: ignore[reportArgumentType]
+    try:
+        signature = inspect.signature(entry)
+    except ValueError:  # an exception
+        return name
+    words, kind = [], None
+    for argument in signature.parameters.values():
+        if argument.name in ("self", "cls") and not words:
+            continue
+        if kind is inspect.Parameter.POSITIONAL_ONLY != argument.kind:
+            words.append("/")
+        if argument.kind is inspect.Parameter.KEYWORD_ONLY and kind not in (argument.kind, argument.VAR_POSITIONAL):
+            words.append("*")
+        words.append(_argument(argument))
+        kind = argument.kind
+    result = "" if inspect.isclass(entry) else _result(signature)
+    line = f"{name}({', '.join(words)}){result}"
+    return line if len(line) <= _WIDTH else "\n".join([f"{name}(", *(f"    {word}," for word in words), f"){result}"])
+
+
+def _argument(argument: inspect.Parameter) -> str:
+    stars = {argument.VAR_POSITIONAL: "*", argument.VAR_KEYWORD: "**"}.get(argument.kind, "")
+    kind = "" if argument.annotation is argument.empty else f": {_type(argument.annotation)}"
+    if argument.default is argument.empty:
+        return f"{stars}{argument.name}{kind}"
+    default = repr(argument.default)
+    default = "..." if default.startswith("<") else default  # made when called, or a function
+    return f"{argument.name}{kind} = {default}" if kind else f"{argument.name}={default}"
+
+
+def _result(signature: inspect.Signature, sign: str = " -> ") -> str:
+    kind = signature.return_annotation
+    return "" if kind is signature.empty else f"{sign}{_type(kind)}"
+
+
+def _type(annotation: Any) -> str:
+    return annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+
+
+def verbatim_columns(docstring: str) -> str:
+    """The first paragraph as text; then blocks, because Markdown runs aligned columns of arguments together."""
+    first, _, rest = inspect.cleandoc(docstring).partition("\n\n")
+    if "\n" in first:
+        first, rest = "", f"{first}\n\n{rest}".rstrip()
+    parts = [_plain(first)] if first else []
+    for language, paragraphs in groupby(rest.split("\n\n") if rest.strip() else [], _language):
+        text = "\n\n".join(paragraphs).strip("\n")
+        parts.append(f"```{language}\n{text}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def _plain(text: str) -> str:
+    """Text without marks of Markdown, except for `code`: brackets are shapes and units, stars are products."""
+    signs = str.maketrans({"[": "&#91;", "*": "&#42;", "<": "&lt;"})
+    return "`".join(part if k % 2 else part.translate(signs) for k, part in enumerate(text.split("`")))
+
+
+def _language(paragraph: str) -> str:
+    return "pycon" if paragraph.startswith(">>> ") else "text"
 
 
 def file(path: str) -> str:
@@ -164,4 +267,4 @@ def _kind(entry: Mapping[str, Any]) -> str:
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("[", "&#91;")  # units in brackets, no links
+    return _plain(text).replace("|", "\\|")

@@ -5,19 +5,26 @@ from __future__ import annotations
 import importlib.util
 import re
 import subprocess
+import tempfile
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import torchmbd as mbd
-from experiments.documentation import recorded, reference, validation
+from experiments.documentation import generated, recorded, reference, validation
 from experiments.documentation.animated_svg import animated_svg, drawing
 from experiments.paper.part import Finding, Part, Row
 from torchmbd import registry
 
 DOCS = Path(__file__).parents[2] / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+
+
+def _named(page: Path) -> str:
+    return str(page.relative_to(DOCS))
 
 
 def test_every_public_name_stands_in_the_reference_once():
@@ -26,8 +33,51 @@ def test_every_public_name_stands_in_the_reference_once():
     assert sorted(names) == sorted([*mbd.__all__, *pictures])
     pages = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "reference").glob("*.md"))
     for group in reference.GROUPS:
-        assert pages.count(f"<!-- insert: group {group} -->") == 1, group
-    assert "::: torchmbd.fem.materials.laminate.Laminate\n" in reference.group("materials")
+        assert pages.count(f"<!-- generated: group {group} -->") == 1, group
+    pages = "".join(mark["text"] for mark in generated.MARK.finditer(pages) if mark["part"] == "group")
+    for name in names:
+        assert len(re.findall(rf"^### {re.escape(name)}$", pages, re.MULTILINE)) == 1, name
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if generated.MARK.search(p.read_text(encoding="utf-8"))], ids=_named)
+def test_generated_parts_are_current_and_the_same_on_every_machine(page):
+    text = page.read_text(encoding="utf-8")
+    assert text == generated.renewed(text), "run python -m experiments.documentation.generated"
+    parts = [mark["text"] for mark in generated.MARK.finditer(text)]
+    assert all(parts)
+    for trace in (str(DOCS.parent), str(Path.home()), " at 0x", tempfile.gettempdir() + "/"):
+        assert not any(trace in part for part in parts), trace
+
+
+def test_no_page_asks_for_a_part_that_does_not_exist():
+    for page in PAGES:
+        asked = re.findall(r"<!-- (?:generated|insert): (\w+)", page.read_text(encoding="utf-8"))
+        assert set(asked) <= set(generated.PARTS), page.name
+        assert len(asked) == len(generated.MARK.findall(page.read_text(encoding="utf-8"))), page.name
+
+
+def test_an_entry_has_signature_text_columns_example_and_methods():
+    text = reference.group("materials")
+    laminate = text[text.index("### Laminate\n") : text.index("### SteeredLaminate\n")]
+    assert "```python\nLaminate(\n    ply: Lamina | Sequence[Lamina],\n" in laminate
+    assert "```text\n" in laminate
+    assert "```pycon\n>>> laminate = mbd.Laminate(" in laminate
+    assert "#### Laminate.stiffness\n" in laminate
+    assert "#### Laminate.total_thickness\n\n```python\nLaminate.total_thickness: " in laminate
+    assert "_integrals" not in laminate
+
+
+def test_signatures_are_those_of_the_source():
+    def law(t: float, /, speed: float = 1.0, *, table: Callable[[], float] = lambda: 0.0, **others: int) -> list[float]:
+        """A number at a time [s]: a * b, if 0 < b, as `a[0] * b`."""
+        return [t, speed, table(), *others.values()]
+
+    text = reference._entry("law", law, 3)
+    assert (
+        "law(t: float, /, speed: float = 1.0, *, table: Callable[[], float] = ..., **others: int) -> list[float]"
+        in text
+    )
+    assert "&#91;s]: a &#42; b, if 0 &lt; b, as `a[0] * b`" in text
 
 
 def test_commands_and_keys_are_those_of_the_program():
