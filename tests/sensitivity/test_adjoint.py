@@ -241,7 +241,7 @@ def energies(count: int, **options) -> mbd.Problem:
 
 
 @pytest.mark.thorough
-def test_a_problem_takes_the_adjoint_where_that_is_less_work():
+def test_a_problem_takes_the_adjoint_where_that_is_less_work(compiled):
     assert energies(2).gradients == "reverse"
     assert energies(3).gradients == "reverse"  # as many numbers as variables
     assert energies(2, method="rk4").gradients == "forward"

@@ -45,6 +45,7 @@ from torchmbd.errors import InputError, SimulationFailure, argument_names, check
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
 from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator, start_of
+from torchmbd.integrate.backend import likely_backend
 from torchmbd.integrate.memory import lanes_at_once, require_memory
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.segment import segments_of, switching
@@ -149,7 +150,8 @@ class Problem(Summary):
         check_gradients(gradients, integrator)
         check_backend(backend)
         self._tangents = len(self.space.entries)
-        cheaper = cheaper_mode(self._tangents, self._count) if integrator.adjoint else "forward"
+        counts = self._tangents, self._count
+        cheaper = cheaper_mode(*counts, likely_backend(backend)) if integrator.adjoint else "forward"
         self.gradients = cheaper if gradients in ("auto", "none") else gradients
         require_memory(
             system,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import ClassVar
 
 from torch import Tensor
 
@@ -27,6 +28,10 @@ from torchmbd.multibody.system.dynamics import Dynamics
 
 class NativeBackend(Backend):
     """By one library for a kind of mechanisms and a kind of work (library.py)."""
+
+    #: Measured on the slider-crank (2,000 steps, 1 to 8 variables, 1 to 16 numbers).
+    forward_cost: ClassVar[tuple[float, float]] = (2.0, 0.1)
+    reverse_cost: ClassVar[tuple[float, float]] = (1.5, 0.12)
 
     def serves_auto(self) -> bool:
         return compilation_wanted()
