@@ -50,7 +50,9 @@ def own(folder, empty_store, monkeypatch):
 @pytest.fixture
 def small() -> mbd.Study:
     starts = mbd.sobol(2, seed=7, include_initial=True)
-    return mbd.Study(problem(), starts, "mmfd", name="small", max_iterations=2, question="Which angles?", experiment="py")
+    return mbd.Study(
+        problem(), starts, "mmfd", name="small", max_iterations=2, question="Which angles?", experiment="py"
+    )
 
 
 @pytest.mark.thorough
