@@ -55,12 +55,13 @@ class Pattern:
             k = int((key[1:] <= key[:-1]).nonzero()[0]) + 1
             entry = (int(rows[k]), int(cols[k]))
             raise InputError(f"coordinate {k} {entry} repeats or precedes its forerunner; use Pattern.gather to sort")
-        mirrored = torch.isin(cols * self.size + rows, key, assume_unique=True)
-        if not mirrored.all():
-            k = int((~mirrored).nonzero()[0])
-            raise InputError(f"entry ({int(rows[k])}, {int(cols[k])}) has no mirror image; store both triangles")
         object.__setattr__(self, "rows", rows)
         object.__setattr__(self, "cols", cols)
+        mirrored = (rows[self.transposed] == cols) & (cols[self.transposed] == rows)
+        if not mirrored.all():
+            missing = ~torch.isin(cols * self.size + rows, key, assume_unique=True)
+            k = int(missing.nonzero()[0])
+            raise InputError(f"entry ({int(rows[k])}, {int(cols[k])}) has no mirror image; store both triangles")
 
     @staticmethod
     def gather(rows: ArrayLike | Tensor, cols: ArrayLike | Tensor, size: int) -> tuple[Pattern, Tensor]:
@@ -89,8 +90,8 @@ class Pattern:
 
     @cached_property
     def transposed(self) -> Tensor:
-        """For each value the position of its mirror image [nnz]."""
-        return torch.argsort(self.cols * self.size + self.rows)
+        """For each value the position of its mirror image [nnz]: the values in the order of columns."""
+        return torch.argsort(self.cols, stable=True)
 
     def restrict(self, keep: ArrayLike | Tensor) -> tuple[Pattern, Tensor]:
         """Keep rows and columns `keep`, in that order: the smaller pattern, and the positions of its values.
@@ -104,7 +105,8 @@ class Pattern:
             raise InputError("keep names a row more than once; each at most once is allowed")
         rows, cols = row_of[self.rows], row_of[self.cols]
         positions = ((rows >= 0) & (cols >= 0)).nonzero().squeeze(-1)
-        positions = positions[torch.argsort(rows[positions] * len(kept) + cols[positions])]
+        if (kept[1:] < kept[:-1]).any():
+            positions = positions[torch.argsort(rows[positions] * len(kept) + cols[positions])]
         return Pattern(rows[positions], cols[positions], len(kept)), positions
 
     def to_scipy(self, values: Tensor | np.ndarray) -> scipy.sparse.csc_array:

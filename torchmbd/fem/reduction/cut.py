@@ -14,6 +14,7 @@ Checked in tests/fem/reduction/test_cut.py.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import torch
@@ -22,6 +23,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.forms import lane_name
+from torchmbd.fem.reduction.latest import Latest
 from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.fem.reduction.transport import DeflatedSolver, Pencil
 
@@ -56,6 +58,9 @@ class Modes(DeflatedSolver, Protocol):
         ...
 
 
+_latest: Latest[Modes] = Latest()
+
+
 def rounding(pencil: Pencil, K: Tensor, M: Tensor) -> Tensor:
     """Return the error of eigenvalues by rounding of K and M [...]."""
     return ROUNDING * (pencil.K_form.diagonal(K).abs() / pencil.M_form.diagonal(M)).amax(-1)
@@ -63,6 +68,11 @@ def rounding(pencil: Pencil, K: Tensor, M: Tensor) -> Tensor:
 
 def cut_modes(pencil: Pencil, n: int, more: int, cluster: float, K: Tensor, M: Tensor) -> Modes:
     """Return the modes of K, M [lane, *entry], cut as the module header says; count 0 where every cut divides a cluster."""
+    key = pencil.K_form, pencil.M_form, n, more, cluster
+    return _latest(key, (K, M), partial(_cut_modes, pencil, n, more, cluster, K, M))
+
+
+def _cut_modes(pencil: Pencil, n: int, more: int, cluster: float, K: Tensor, M: Tensor) -> Modes:
     size = pencil.K_form.size
     modes, most = _solved(pencil, n, K, M), min(n + more, size)
     gaps = _Gaps.of(pencil, modes, cluster, K, M)

@@ -4,15 +4,13 @@ Blocks (blocks.py) suit many designs of a slender body: their solves run for all
 wide blocks, of which blocks store N b numbers and use N b^2 products; a sparse factor (sparse_factor.py) has about N log N
 entries. `layout` compares the seconds of one reduction, a factorization and COLUMNS solves, by the rates below.
 Modes and their derivatives agree to 1e-9.
-Modes, static loads and stiffening of one design factorize equal numbers on one layout. So `factorize` keeps the factor of the
-latest single design of each layout, as long as the layout lives, and returns it where all numbers are equal.
+Modes, static loads and stiffening of one design factorize equal numbers on one layout; `factorize` does it once (latest.py).
 Checked in tests/fem/reduction/test_sparse_factor.py.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -21,6 +19,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.blocks import BlockFactor, BlockRoot, DiagonalRoot, mass_root, storage
 from torchmbd.fem.reduction.forms import Dense, Diagonal, Form, Sparse, lane_name
+from torchmbd.fem.reduction.latest import Latest
 from torchmbd.fem.reduction.partition import Partition, partition
 from torchmbd.fem.reduction.shift import SAFE_PIVOT
 from torchmbd.fem.reduction.sparse_factor import SparseFactor, SparseLayout, SparseRoot
@@ -35,8 +34,6 @@ BLOCK_CUBE, BLOCK_ENTRY = 0.6e-9, 0.5e-9  # seconds for each b^3 of a factorizat
 # Seconds for each entry of L of a factorization; each entry and column of a solve with the operators of torch around it.
 FILL, FILL_ENTRY = 40e-9, 4e-9
 CALLS = 0.02  # seconds: operations of torch between solves, which compiled code does not need for blocks
-
-_LATEST: WeakKeyDictionary[Layout, tuple[Tensor, Factor]] = WeakKeyDictionary()  # K [1, *entry] and its factor
 
 
 def layout(K_form: Form, M_form: Form) -> Layout:
@@ -87,16 +84,16 @@ def factorize(
     """Factorize K - shift M of values [lane, *entry] and shift [lane]."""
     if M_form is not None and M is not None and shift is not None and shift.any():
         return _shifted(layout, K_form, K, M_form, M, shift)
-    numbers, factor = _LATEST.get(layout, (None, None))
-    if numbers is not None and factor is not None and torch.equal(numbers, K):
-        return factor
+    return _latest((layout, K_form), (K,), lambda: _factorized(layout, K_form, K))
+
+
+_latest: Latest[Factor] = Latest()
+
+
+def _factorized(layout: Layout, K_form: Form, K: Tensor) -> Factor:
     if isinstance(layout, Partition):
-        factor = BlockFactor(layout, storage(layout, K_form, K))
-    else:
-        factor = SparseFactor(layout, layout.lower(K_form, K))
-    if len(K) == 1:
-        _LATEST[layout] = K.detach().clone(), factor
-    return factor
+        return BlockFactor(layout, storage(layout, K_form, K))
+    return SparseFactor(layout, layout.lower(K_form, K))
 
 
 def _shifted(layout: Layout, K_form: Form, K: Tensor, M_form: Form, M: Tensor, shift: Tensor) -> Factor:
