@@ -1,6 +1,6 @@
-"""Results of the latest designs, kept because several doors ask for the same: checks of a new body, warnings, the first motion.
+"""Results of the latest designs. The checks of a body, its warnings and its first motion ask for the same modes and factors.
 
-Only results of single designs are kept, those of the last BODIES bodies: a design that follows takes the place of the one before.
+Only results of single designs are kept, one for each of the last BODIES bodies: the next design replaces the one before.
 Checked in tests/fem/reduction/test_latest.py.
 """
 
@@ -25,7 +25,7 @@ class Latest(Generic[Result]):
         self._kept: OrderedDict[Hashable, tuple[tuple[Tensor, ...], Result]] = OrderedDict()
 
     def __call__(self, key: Hashable, numbers: tuple[Tensor, ...], result: Callable[[], Result]) -> Result:
-        """Return what is kept for a key and equal numbers, else `result()`; numbers [lane, ...] of several lanes are not kept."""
+        """Return what is kept for a key and equal numbers [lane, ...], else `result()`; several lanes are not kept."""
         if any(len(x) > 1 for x in numbers):
             return result()
         before, kept = self._kept.get(key, ((), None))
