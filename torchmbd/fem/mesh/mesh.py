@@ -112,8 +112,9 @@ class Mesh:
             shown = names if len(names) <= 30 else difflib.get_close_matches(str(name), names, n=8, cutoff=0.0)
             error = unknown("node", name, shown)
             if f"{name}_edge" in names or name == "center":
-                why = "the number of cells along the edge is odd, so that no node is in its middle"
-                raise InputError(f"{error}. {why}: use an even number")
+                end = "" if str(error).endswith("?") else "."
+                why = "The number of cells along the edge is odd, so that no node is in its middle"
+                raise InputError(f"{error}{end} {why}: use an even number")
             raise error
         return tuple(self.node_sets[name])
 
