@@ -29,7 +29,7 @@ GROUPS: dict[str, str] = {
     "recover_stacks recover_blended_stacks progressive_failure deg",
     "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable read_beamdyn read_windio",
     "bodies": "Ground RigidBody FlexibleBody read_bdf read_mesh read_matrix Frame Interface",
-    "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
+    "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed JointCoupling Drive "
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "
     "Pressure AxialStop RotationalStop PlaneContact forces variable",

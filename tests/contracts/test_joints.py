@@ -43,6 +43,9 @@ def across(axis: str, x: Tensor) -> Tensor:
     return x - x["xyz".index(axis)] * unit(axis)
 
 
+LEAD = 0.07  # travel of a screw for a rotation by 1 rad [m]
+
+
 def ahead(axis: str, x: Tensor) -> Tensor:
     return across(axis, x) + float(law(tensor(0.7))) * unit(axis)
 
@@ -76,6 +79,7 @@ for axis in "xyz":
         Case("cylindrical", 4, lambda x, k=axis, e=e: (x[0] * e, about(k, float(x[1]))), given),
         Case("pointonplane", 1, lambda x, k=axis: (across(k, x), turned(*x.flip(0).tolist())), {"normal": axis}),
         Case("planar", 3, lambda x, k=axis: (across(k, x), about(k, float(x[2]))), {"normal": axis}),
+        Case("jointcoupling", 5, lambda x, k=axis, e=e: (LEAD * x[0] * e, about(k, float(x[0]))), given),
         Case("drive", 1, lambda x, k=axis: (x, about(k, float(law(tensor(0.7))))), given | {"angle": law}),
         Case("drive", 1, lambda x, k=axis: (ahead(k, x), turned(*x.tolist())), given | {"position": law}),
     ]
@@ -114,6 +118,14 @@ def body(kind: str, name: str) -> tuple[Any, mbd.Frame]:
     return result, result.at("left" if own else "corner_right_top", axes=turned(0.5, 0.7, -0.2) if own else None)
 
 
+def joints_of(case: Case, a: mbd.Frame, b: mbd.Frame) -> list[Any]:
+    """The joint; a coupling makes a screw of a cylindrical joint."""
+    if case.kind != "jointcoupling":
+        return [JOINTS[case.kind](a, b, **case.given, name="joint")]
+    guide = mbd.Cylindrical(a, b, **case.given, name="joint")
+    return [guide, mbd.JointCoupling([guide.travel, guide.angle], [1.0, -LEAD], name="joint")]
+
+
 @functools.cache
 def joined(case: Case, pair: str) -> Joined:
     """Place both bodies so that the joint is closed, and join them."""
@@ -135,7 +147,7 @@ def joined(case: Case, pair: str) -> Joined:
         if not isinstance(x, mbd.Ground):
             x.position, x.axes = r, A
             bodies.append(x)
-    system = mbd.System(bodies, [JOINTS[case.kind](frame_a, frame_b, **case.given, name="joint")])
+    system = mbd.System(bodies, joints_of(case, frame_a, frame_b))
     data = {name: x.detach() for name, x in system().dynamics.data.items()}
     return Joined(system, (frame_a, frame_b), data)
 
@@ -145,7 +157,8 @@ def coordinates(joined: Joined, poses: dict[str, tuple[Tensor, Tensor]]) -> Tens
     T = joined.system.topology
     r = torch.stack([poses[name][0] for name in T.names], 1)
     p = torch.stack([euler_parameters(poses[name][1]) for name in T.names], 1)
-    return torch.cat([r.flatten(), p.flatten(), torch.zeros(T.modes * T.flexible, dtype=torch.float64)])[:, None, None]
+    rest = torch.zeros(T.n_q - 7 * T.bodies, dtype=torch.float64)  # modes, and angles that count turns
+    return torch.cat([r.flatten(), p.flatten(), rest])[:, None, None]
 
 
 def moved(joined: Joined, u: Tensor, R: Tensor) -> Tensor:
@@ -227,7 +240,7 @@ class Curve:
         n = self.T.bodies
         p, pd = q[3 * n : 7 * n].unflatten(0, (4, n)), rate[3 * n : 7 * n].unflatten(0, (4, n))
         omega = 2.0 * (p[:1] * pd[1:] - pd[:1] * p[1:] - torch.linalg.cross(p[1:], pd[1:], dim=0))
-        return torch.cat([rate[: 3 * n], omega.flatten(0, 1), rate[7 * n :]])
+        return torch.cat([rate[: 3 * n], omega.flatten(0, 1), rate[7 * n : 7 * n + self.T.modes * self.T.flexible]])
 
 
 @between

@@ -12,8 +12,10 @@ from torch.testing import assert_close
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.joints.primitive import KINDS, Angle, Primitive
+from torchmbd.multibody.joints.relation import RELATIONS, Factors, Relation
 
 COUNT, LANES, TANGENTS = 4, 3, 2
+TURNS = torch.tensor([0.4, 13.0, -70.0, 1e3], dtype=torch.float64)[:, None, None]  # angles near which others are
 LAWS = tuple(lambda t, k=k: 0.4 * k + torch.sin((1.0 + k) * t) + t * t for k in range(COUNT))
 
 
@@ -21,6 +23,9 @@ def primitive(kind: type[Primitive]) -> Primitive:
     """Several primitives of a kind, each with its own length or law."""
     members = tuple(torch.arange(COUNT) for _ in kind.arguments)
     data = LAWS if kind.driven else tuple(0.5 + 0.3 * k for k in range(COUNT))
+    if issubclass(kind, Relation):
+        factors = [tuple(0.7 * i - 0.4 * k for i in range(kind.driven)) for k in range(COUNT)]
+        data = tuple(Factors("", x, (None,) * kind.driven, None) for x in factors)
     return kind(members, data)
 
 
@@ -32,14 +37,15 @@ def drive_of(kind: type[Primitive], t: Tensor, derivatives: bool = False):
     if not kind.driven:
         return None
     P = primitive(kind)
-    return P.prescribed_jets(t) if derivatives else tuple(x[0] for x in P.prescribed(t[None]))
+    turns = tuple(TURNS + k for k in range(kind.angles))
+    return (*(P.prescribed_jets(t) if derivatives else (x[0] for x in P.prescribed(t[None]))), *turns)
 
 
 def numbers(kind: type[Primitive], columns: int = 1) -> list[Tensor]:
     return [random(3, COUNT, columns, LANES, seed=10 + k) for k in range(len(kind.arguments))]
 
 
-kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+kinds = pytest.mark.parametrize("kind", [*KINDS, *RELATIONS.values()], ids=lambda kind: kind.__name__)
 
 
 @kinds

@@ -285,14 +285,15 @@ class Reaction(History):
         joint = joint_named(system, self.joint)
         if self.kind not in ("force", "torque"):
             raise unknown("kind of reaction", self.kind, ("force", "torque"))
-        if self.on is not None and self.on not in (joint.a.body.name, joint.b.body.name):
-            raise unknown(f"body of joint {self.joint!r}:", self.on, (joint.a.body.name, joint.b.body.name))
+        bodies = tuple(dict.fromkeys(frame.body.name for frame in joint.frames))
+        if self.on is not None and self.on not in bodies:
+            raise unknown(f"body of joint {self.joint!r}:", self.on, bodies)
         if self.axes not in (None, GROUND):
             system.body(self.axes)
 
     def values(self, motion: Trajectory) -> Tensor:
         joint = joint_named(motion.system, self.joint)
-        side = joint.b if self.on in (None, joint.b.body.name) else joint.a
+        side = next((x for x in (joint.b, *joint.frames) if self.on in (None, x.body.name)), joint.b)
         force, torque = reaction_on(motion, joint, side, frame_point(motion, side))
         load = force if self.kind == "force" else torque
         warn_of_ringing(motion, self.joint, self.kind, load)

@@ -102,7 +102,7 @@ class StepErrors:
         if smooth is not None:
             change = torch.where(smooth, change, 0.0)
         self.change = self.change.maximum(change.square().sum(0).sqrt().amax(0))
-        modal = history.q[:, T.n_q - self.modes :, 0]
+        modal = history.q[:, 7 * T.bodies : 7 * T.bodies + self.modes, 0]
         self.largest = self.largest.maximum(modal.square().sum(1).sqrt().amax(0))
 
     def put_into(self, statistics: Statistics, steps: int) -> None:

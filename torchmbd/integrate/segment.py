@@ -243,6 +243,8 @@ def _check_locks(phase: str, system: System, locked: Sequence[Joint], released: 
             raise InputError(f"phase {phase!r} both locks and releases {joint.name!r}; allowed: one of them")
         if isinstance(joint, Drive):
             raise InputError(f"phase {phase!r} locks the drive {joint.name!r}; allowed: release it, lock its joint")
+        if joint.joints:
+            raise InputError(f"phase {phase!r} locks the coupling {joint.name!r}; allowed: lock one of its joints")
         bodies = {joint.a.body.name, joint.b.body.name}
         for drive in system.joints:
             driven = isinstance(drive, Drive) and {drive.a.body.name, drive.b.body.name} == bodies

@@ -147,7 +147,7 @@ def _laws(dynamics: Dynamics, duration: float) -> list[Tensor]:
     times = torch.linspace(0.0, duration, _SAMPLES + 1, dtype=torch.float64)
     laws = []
     for kind in T.primitives:
-        if kind.driven:
+        if kind.prescribes:
             laws += [part[..., 0].flatten(1).T for part in kind.prescribed(times, data)]
     if T.actions:
         q, v = (x[..., :1].expand(*x.shape[:-1], len(times)) for x in dynamics.start)

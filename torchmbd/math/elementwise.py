@@ -7,6 +7,7 @@ Checked in tests/math/test_pair.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -37,6 +38,20 @@ def sqrt(x: Any) -> Any:
 
 def tanh(x: Any) -> Any:
     return function(torch.tanh, lambda y: 1.0 - torch.tanh(y) * torch.tanh(y), x)
+
+
+def angle_near(s: Any, c: Any, center: Any) -> Any:
+    """The angle of the point (c, s) within half a turn of a center, a float or tensor; it varies with s and c alone."""
+    number = isinstance(center, (int, float))
+    c0, s0 = (math.cos(center), math.sin(center)) if number else (torch.cos(center), torch.sin(center))
+
+    def angle(s: Tensor, c: Tensor) -> Tensor:
+        return torch.atan2(s * c0 - c * s0, c * c0 + s * s0) + center
+
+    if not isinstance(s, Pair):
+        return angle(s, c)
+    square = s.value * s.value + c.value * c.value
+    return Pair.of(angle(s.value, c.value), (c.value * s.tangent - s.value * c.tangent) / square)
 
 
 def partial_derivatives(f: Callable[..., Tensor], *xs: Tensor) -> list[Tensor]:

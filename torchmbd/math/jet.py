@@ -77,4 +77,15 @@ def cos(angle):
     return Jet(c, -(s * angle.velocity), -(s * angle.acceleration) - c * (angle.velocity * angle.velocity))
 
 
-__all__ = ["Jet", "cos", "dot", "sin"]
+def angle_near(s, c, center):
+    """The angle of the point (c, s), numbers or jets, within half a turn of a center that is constant in time."""
+    if not isinstance(s, Jet):
+        return elementwise.angle_near(s, c, center)
+    inverse = elementwise.reciprocal(c.value * c.value + s.value * s.value)
+    rate = (c.value * s.velocity - s.value * c.velocity) * inverse
+    stretch = (c.value * c.velocity + s.value * s.velocity) * inverse
+    bend = (c.value * s.acceleration - s.value * c.acceleration) * inverse
+    return Jet(elementwise.angle_near(s.value, c.value, center), rate, bend - 2.0 * (rate * stretch))
+
+
+__all__ = ["Jet", "angle_near", "cos", "dot", "sin"]

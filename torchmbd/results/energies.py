@@ -152,7 +152,7 @@ def _applied(motion: MotionData, data: equations.Data, at: equations.Placement, 
 def _driven(T: Topology, data: equations.Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
     """Power of the drives lam . dPhi/dt [1, n]: constraints without laws do no work."""
     power = torch.zeros_like(q[0])
-    if not any(p.driven for p in T.primitives):
+    if not any(p.prescribes for p in T.primitives):
         return power
     still = q.new_zeros(T.n_v, 1, 1)
     for i, t in enumerate(times):

@@ -227,8 +227,8 @@ def _low_rank(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _markers(joint: Any, index: dict[str, int]) -> list[dict[str, Any]]:
     """Return the markers of a joint: on its second body, and on the ground if it is there, with a line between both."""
-    if type(joint).__name__ == "Drive":
-        return []  # a drive has no point; the revolute joint beside it is drawn
+    if type(joint).__name__ in ("Drive", "JointCoupling"):
+        return []  # they have no point; the joints beside them are drawn
     sides = sorted((joint.a, joint.b), key=lambda side: side.body.name in index)  # the ground first
     drawn = sides if sides[0].body.name not in index else [joint.b]
     markers = [

@@ -182,16 +182,67 @@ def test_starts_beyond_limits_are_refused(file):
     assert not mbd.read_urdf(effort).forces  # a <limit> without lower and upper
 
 
+def mimicking(attributes: str) -> list[str]:
+    """The arm, whose joint j3 mimics another."""
+    lines = [line.replace('"continuous"', '"revolute"') for line in ARM]
+    lines[8] = lines[8].replace("<axis", f"<mimic {attributes}/><axis")
+    return lines
+
+
+def test_a_joint_that_mimics_another_follows_it(file):
+    """As the recursion with three coordinates, whose equations are those of the two that remain: N' M N a = -N' h."""
+    path = file(*mimicking('joint="j2" multiplier="-1.5" offset="0.2"'))
+    Q, rate = {"j1": 0.3, "j2": -0.7}, {"j1": 1.5, "j2": -2.0}
+    system = mbd.read_urdf(path, positions=Q, velocities=rate, stop_stiffness=None)
+    assert [(joint.name, type(joint)) for joint in system.joints][-1] == ("j3_mimic", mbd.JointCoupling)
+    assert system.describe().freedoms == 2
+    motion = finished(mbd.simulate(system, 1e-3, steps=2, gradients="none", backend="eager"))
+    tree, places = Tree(path), Q | {"j3": 0.2 - 1.5 * Q["j2"]}
+    speeds, still = np.array([1.5, -2.0, 3.0]), np.zeros(3)
+    M = np.stack([tree._recursion(places, still, e, 0.0)[0] for e in np.eye(3)], axis=1)
+    forces = -tree._recursion(places, speeds, still, 9.81)[0] - np.array([0.0, 0.0, 0.3]) * speeds
+    N = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, -1.5]])
+    links = tree._recursion(places, speeds, N @ np.linalg.solve(N.T @ M @ N, N.T @ forces), 9.81)[1]
+    for name in ("link1", "link2", "link3"):
+        result, spin = motion.body(name).omega_rate[0, 0].numpy(), links[name][1]
+        np.testing.assert_allclose(result, spin, rtol=1e-10, atol=1e-10 * abs(spin).max())
+
+
+def test_a_follower_of_a_locked_joint_is_fixed(file):
+    path = file(*mimicking('joint="j2" multiplier="-1.5" offset="0.2"'))
+    system = mbd.read_urdf(path, positions={"j2": 0.4}, locked=["j2"], stop_stiffness=None)
+    expected = mbd.read_urdf(
+        file(*ARM, name="plain.urdf"), positions={"j2": 0.4, "j3": -0.4}, locked=["j2", "j3"], stop_stiffness=None
+    )
+    assert [body.name for body in system.bodies] == ["link1"]
+    torch.testing.assert_close(system.body("link1").inertia, expected.body("link1").inertia, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "given", "message"),
+    [
+        ('joint="j9"', {}, "'j3' mimics 'j9': both must be"),
+        ('joint="f1"', {}, "'j3' mimics 'f1': both must be"),
+        ('joint="j3"', {}, r"joints \['j3', 'j3'\] mimic each other in a loop"),
+        ("", {}, "joint of <mimic> is missing"),
+        (
+            'joint="j2"',
+            {"positions": {"j2": 0.1, "j3": 0.2}},
+            r"positions\['j3'\] = 0.2: must be 0.1, as it mimics 'j2'",
+        ),
+        ('joint="j2"', {"velocities": {"j3": 0.2}}, r"velocities\['j3'\] = 0.2: must be 0, as it mimics 'j2'"),
+        ('joint="j2" multiplier="fast"', {}, "multiplier is 'fast'"),
+    ],
+)
+def test_relations_that_cannot_be_kept_are_refused(file, attributes, given, message):
+    with pytest.raises(InputError, match=message):
+        mbd.read_urdf(file(*mimicking(attributes)), stop_stiffness=None, **given)
+
+
 @pytest.mark.thorough
 def test_locked_joints_are_fixed_at_their_positions(file):
-    """As if the position stood in the file; a joint that mimics another must be."""
-    lines = [line.replace('"continuous"', '"revolute"') for line in ARM]
-    lines[8] = lines[8].replace("<axis", '<mimic joint="j2"/><axis')
-    with pytest.raises(
-        InputError, match=r"joints \['j3'\] mimic others; allowed: joints of their own, or locked=\['j3'\]"
-    ):
-        mbd.read_urdf(file(*lines))
-    path, rate = file(*lines), {"j1": 1.5, "j2": -2.0}
+    """As if the position stood in the file; a joint that mimics another may be."""
+    path, rate = file(*mimicking('joint="j2"')), {"j1": 1.5, "j2": -2.0}
     system = mbd.read_urdf(path, positions=Q, velocities=rate, locked=["j3"])
     assert [body.name for body in system.bodies] == ["link1", "link2"]
     once = mbd.read_urdf(path, positions=Q, velocities=rate, locked=(name for name in ["j3"]))

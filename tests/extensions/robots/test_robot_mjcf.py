@@ -132,10 +132,27 @@ def test_connections_close_loops_where_the_file_has_its_bodies(file):
         assert (type(joint), joint.name) == (kind, "top")
         motion = mbd.simulate(system, 0.1, steps=10, gradients="none", backend="eager").require_ok()
         assert float(motion.body("bar").omega.abs().max()) < 1e-9
-    with pytest.raises(InputError, match="mimic others"):
-        mbd.read_mjcf(pendulum(file, equality='<equality><joint joint1="hinge"/></equality>'))
-    locked = mbd.read_mjcf(pendulum(file, "", other, '<equality><joint joint1="hinge"/></equality>'), locked=["hinge"])
-    assert [body.name for body in locked.bodies] == ["strut"]
+    held = mbd.read_mjcf(pendulum(file, "", other, '<equality><joint joint1="hinge"/></equality>'))
+    assert [body.name for body in held.bodies] == ["strut"]  # without a second joint it stays
+
+
+def test_equalities_of_joints(file):
+    """Two fingers that slide up and down, the second -2 times as the first, with references and a motor: closed form."""
+    text = """<mujoco><option gravity="0 0 -9.81"><flag contact="disable"/></option><worldbody>
+    <body name="one" pos="0 0 1"><joint name="up" type="slide" axis="0 0 1" ref="0.1"/><geom size=".1" mass="2"/></body>
+    <body name="two" pos="1 0 1"><joint name="down" type="slide" axis="0 0 1" ref="0.05"/><geom size=".1" mass="3"/></body>
+    </worldbody><equality><joint joint1="down" joint2="up" polycoef="{}"/></equality>
+    <actuator><motor name="lift" joint="up" gear="5"/></actuator></mujoco>"""
+    system = mbd.read_mjcf(file(text.format("0.02 -2 0 0 0")), positions={"up": 0.3}, controls={"lift": 4.0})
+    assert float(system.body("two").position[2]) == pytest.approx(1.0 + 0.02 - 2.0 * 0.2)
+    motion = mbd.simulate(system, 0.1, steps=10, gradients="none", backend="eager").require_ok()
+    acceleration = (20.0 - 9.81 * (2.0 - 2.0 * 3.0)) / (2.0 + 4.0 * 3.0)
+    for name, factor in (("one", 1.0), ("two", -2.0)):
+        way = motion.body(name).r[0, -1, 2] - motion.body(name).r[0, 0, 2]
+        assert float(way) == pytest.approx(factor * 0.5 * acceleration * 0.1**2, rel=1e-10)
+    for coefficients, message in (("0 1 0.5 0 0", "polycoef = .*must be linear"), ("0 one", "polycoef is")):
+        with pytest.raises(InputError, match=f"<joint> 'joint_1'.*{message}"):
+            mbd.read_mjcf(file(text.format(coefficients)))
 
 
 @pytest.mark.thorough

@@ -77,6 +77,7 @@ class Mechanism:
             "C": T.known_bodies,
         }
         sizes |= {"U": T.n_v, "E": _entries(T.spread), "G": _entries(T.gather)}
+        sizes |= {"K": T.turned}
         sizes |= {f"P{i}": len(p.members[0]) for i, p in enumerate(T.primitives)}
         sizes |= {f"A{i}": len(some) for i, some in enumerate(self.groups.values())}
         sizes |= {"J": 0 if T.beams is None else len(T.beams.ends) // 2}
@@ -115,6 +116,9 @@ class Mechanism:
             on = T.beams.bodies
             tables["beam_ends"] = T.beams.ends
             tables["beam_groups"] = [b if b < n else 2 * n for b in on] + [min(n + b, 2 * n) for b in on]
+        if T.turns is not None:
+            tables |= {"turns_first": T.turns.first, "turns_second": T.turns.second}
+            tables["turns"] = torch.cat([index for p in T.primitives for index in p.turns])
         for name, sparse in (("spread", T.spread), ("gather", T.gather)):
             if sparse is not None:
                 row, column = torch.nonzero(sparse.matrix, as_tuple=True)
@@ -124,6 +128,8 @@ class Mechanism:
     def _constants(self) -> dict[str, np.ndarray]:
         T = self.T
         constants = {"unit": np.eye(T.modes), "ground_A": np.eye(3), "ground_r": np.zeros(3)}
+        if T.turns is not None:
+            constants["turns_axes"] = T.turns.axes.numpy()
         for name, sparse in (("spread", T.spread), ("gather", T.gather)):
             if sparse is not None:
                 constants[f"{name}_factor"] = sparse.matrix[sparse.matrix != 0.0].numpy()

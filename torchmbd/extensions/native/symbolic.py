@@ -2,8 +2,8 @@
 
     sizes    B bodies, F flexible, M modes, V vectors, W vectors of flexible bodies, C prescribed bodies and the ground, U
     independent rates, E and G entries of the maps between them and all rates; P0, P1, ... primitives of each kind,
-             J beam elements; A0, A1, ... actions of each kind and form of law; of unit multipliers (R) and unit
-             strengths (D): arguments on flexible bodies, pairs, pairs with flexible bodies (RT, RP, RF)
+             J beam elements; K counted angles; A0, A1, ... actions of each kind and form of law; of unit multipliers (R) and
+             unit strengths (D): arguments on flexible bodies, pairs, pairs with flexible bodies (RT, RP, RF)
 
 What is not a count is part of the kind (`Kind`): one library serves all mechanisms of a kind.
 Checked in tests/extensions/native/.
@@ -27,6 +27,7 @@ from torchmbd.multibody.joints.primitive import Primitive
 from torchmbd.multibody.system.beams import SHAPES as BEAMS
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
 from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.system.turns import Turns
 from torchmbd.multibody.system.unit_forces import UnitForces
 
 
@@ -66,6 +67,7 @@ class Kind(NamedTuple):
     flexible: bool
     attached_flexible: bool
     condensed: bool
+    turned: bool
     row_flexible: bool
     action_flexible: bool
     beams: bool
@@ -79,6 +81,7 @@ class Kind(NamedTuple):
             T.flexible > 0,
             T.attached_flexible > 0,
             T.rates is not None,
+            T.turns is not None,
             bool(blocks.rows.flexible_pairs),
             bool(blocks.actions.flexible_pairs),
             T.beams is not None,
@@ -145,7 +148,7 @@ def _law(shape: Any, numbers: Any) -> Any:
     return shape.kind(**values)
 
 
-B, F, M, V, W, C, U, E, G, J = (Size(name) for name in ["B", "F", "M", "V", "W", "C", "U", "E", "G", "J"])
+B, F, M, V, W, C, U, E, G, J, K = (Size(name) for name in ["B", "F", "M", "V", "W", "C", "U", "E", "G", "J", "K"])
 # Components and loops of each datum.
 SHAPES: dict[str, tuple[AnySize, ...]] = {
     "mass": (B,),
@@ -210,7 +213,10 @@ class SymbolicTopology:
         self.modes = M if kind.flexible else 0
         self.attached_flexible = W if kind.attached_flexible else 0
         self.vectors, self.known_bodies, self.prescribed_bodies = V, C, ()
-        self.n_q, self.n_rates = 7 * B + self.modes * self.flexible, 6 * B + self.modes * self.flexible
+        self.n_rates = 6 * B + self.modes * self.flexible
+        self.turned = K if kind.turned else 0
+        self.n_q = B + self.n_rates + self.turned
+        self.turns = _turns(program) if kind.turned else None
         self.n_v = U if kind.condensed else self.n_rates
         self.vector_body, self.vector_origin = Table("vector_body", V), Table("vector_origin", V)
         self.vector_flexible = Table("vector_flexible", W)
@@ -223,7 +229,11 @@ class SymbolicTopology:
         if kind.condensed:
             self.spread = _SparseMap(program, "spread", E, self.n_rates)
             self.gather = _SparseMap(program, "gather", G, U)
-        self.primitives = tuple(self._primitive(program, i, p) for i, (p, _) in enumerate(kind.primitives))
+        self.primitives, start = (), 0
+        for i, (p, _) in enumerate(kind.primitives):
+            counts = [(primitive_count(i), start + k * primitive_count(i)) for k in range(p.angles)]
+            self.primitives += (self._primitive(program, i, p, tuple(Table("turns", *x) for x in counts)),)
+            start = start + p.angles * primitive_count(i)
         self.actions = tuple(
             form.kind((), (_Numbered(f"~law {i}", (), form.law, form.center),)) for i, form in enumerate(kind.forms)
         )
@@ -231,8 +241,8 @@ class SymbolicTopology:
         self.links = SymbolicLinks(kind, program)
 
     @staticmethod
-    def _primitive(program: Program, i: int, kind: type[Primitive]) -> Primitive:
-        primitive = kind((), ())
+    def _primitive(program: Program, i: int, kind: type[Primitive], turns: tuple[Any, ...]) -> Primitive:
+        primitive = kind((), (), turns)
         if kind.constants:
             shape = (kind.constants, primitive_count(i))
             # in place of the numbers of a mechanism, which this property computes
@@ -265,6 +275,14 @@ class SymbolicTopology:
     def modal_identity(self, like: Any) -> Any:
         """The identity [modes, modes, 1, 1, 1], in memory."""
         return Array.input(like.program, "unit", (M, M, 1, 1, 1), kind="uniform")
+
+
+def _turns(program: Program) -> Turns:
+    """Turns with symbolic tables."""
+    first: Any = Table("turns_first", K)
+    second: Any = Table("turns_second", K)
+    axes: Any = Array.input(program, "turns_axes", (5, 3, K, 1, 1), kind="uniform")
+    return Turns(first, second, axes)
 
 
 class SymbolicLinks:

@@ -3,6 +3,7 @@
     revolute, continuous -> Revolute      prismatic -> Prismatic      planar -> Planar      spherical -> Spherical
     floating -> a free body      closures -> Spherical, Fixed between links beside the tree
     fixed -> the child is a part of its parent (its inertia is added), or a Fixed joint beside a flexible body
+    a joint that mimics another -> JointCoupling "NAME_mimic"
     limits -> RotationalStop, AxialStop      springs, damping, friction, actuators -> forces.py
 
 A flexible body can replace a link; its mesh is then in the frame of the link. A joint acts on the node set with the name of the
@@ -28,8 +29,8 @@ from torchmbd.multibody.bodies.frame import set_start
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.contact import MOST_TURN, AxialStop, RotationalStop
 from torchmbd.multibody.forces.force import ForceElement
-from torchmbd.multibody.joints import Drive, Fixed, Planar, Prismatic, Revolute, Spherical
-from torchmbd.multibody.joints.joint import Joint
+from torchmbd.multibody.joints import Drive, Fixed, JointCoupling, Planar, Prismatic, Revolute, Spherical
+from torchmbd.multibody.joints.joint import Joint, JointCoordinate
 
 FAR = 0.2  # longest arm to the nearest node of a flexible body, as a share of its size
 FLAT = 1e-12  # [m2] inertia over mass below which a negative principal value is rounding
@@ -61,7 +62,7 @@ def robot(
 
     positions, velocities  initial coordinates of joints by name [rad, m], [rad/s, m/s]; others are zero, or those of the file
     drives                 joint name -> law of the change of its coordinate, a function of time as of mbd.Drive: "NAME_drive"
-    locked                 names of joints that are fixed at these positions; those that mimic others must be
+    locked                 names of joints that are fixed at these positions; those that mimic them are fixed with them
     stop_stiffness         of the stops at joint limits [N m/rad, N/m]; None: no stops, a start may be beyond limits
     stop_damping           of the stops [s/rad, s/m], as of RotationalStop
     controls               actuator name -> control, a number or a torch function of time; others are zero
@@ -123,12 +124,10 @@ class _Builder:
         self.fixed_base = fixed_base
         start = {joint.name: joint.start for joint in robot.joints}
         self.closure_poses = _place(robot.joints, robot.root, start, {})  # the file states closures in this position
+        self.chosen = {"positions": dict(self.q), "velocities": dict(self.rate)}
         self.q = start | self.q
-        self.robot = replace(robot, joints=[self._locked(j) if j.name in locked else j for j in robot.joints])
-        if mimics := [joint.name for joint in self.robot.joints if joint.mimics]:
-            raise InputError(
-                f"joints {mimics} mimic others; allowed: joints of their own, or locked={mimics}, at positions of their own"
-            )
+        fixed = self._follow(robot, locked)
+        self.robot = replace(robot, joints=[self._locked(j) if j.name in fixed else j for j in robot.joints])
         self._drop_empty_links()
         names: dict[str, str] = {}
         for joint in self.robot.joints:
@@ -140,9 +139,49 @@ class _Builder:
         self.owner, self.pose_in_owner = self._owners()
         self.bodies = self._bodies()
 
+    def _follow(self, robot: Robot, locked: set[str]) -> set[str]:
+        """Set coordinates and rates of joints that mimic others; return the names of joints that cannot move."""
+        joints, fixed, done = {joint.name: joint for joint in robot.joints}, set(locked), set(locked)
+
+        def follow(name: str, followers: tuple[str, ...]) -> None:
+            mimic = joints[name].mimics
+            if name in followers:
+                raise InputError(f"joints {[*followers, name]} mimic each other in a loop. Try: locked={[name]!r}")
+            if mimic is None or name in done:
+                return
+            for x in (name, mimic.joint) if mimic.joint else (name,):
+                if x not in joints or joints[x].kind not in MOVING:
+                    raise InputError(
+                        f"joint {name!r} mimics {mimic.joint!r}: both must be revolute, continuous or prismatic. "
+                        f"Try: locked={[name]!r}"
+                    )
+            if mimic.joint:
+                follow(mimic.joint, (*followers, name))
+            held = not mimic.joint or mimic.ratio == 0.0 or mimic.joint in fixed
+            fixed.update([name] if held else [])
+            leader = self.q[mimic.joint] if mimic.joint else 0.0
+            self.q[name] = self._chosen("positions", name, mimic.offset + mimic.ratio * leader, mimic.joint)
+            rate = 0.0 if held else mimic.ratio * self.rate.get(mimic.joint, 0.0)
+            if self._chosen("velocities", name, rate, mimic.joint):
+                self.rate[name] = rate
+            done.add(name)
+
+        for name in joints:
+            follow(name, ())
+        return fixed
+
+    def _chosen(self, key: str, name: str, x: float, leader: str) -> float:
+        """x; InputError where a caller asks for another position or velocity of a joint that mimics another."""
+        value = self.chosen[key].get(name, x)
+        if abs(value - x) > 1e-9 * max(1.0, abs(x)):
+            raise InputError(
+                f"{key}[{name!r}] = {value:g}: must be {x:g}, as it mimics {leader!r}. Try: {key} without it"
+            )
+        return x
+
     def _locked(self, joint: RobotJoint) -> RobotJoint:
         origin = joint.origin @ joint.displaced(self.q[joint.name])
-        return replace(joint, kind="fixed", origin=origin, limits=None, mimics=False)
+        return replace(joint, kind="fixed", origin=origin, limits=None, mimics=None)
 
     def _drop_empty_links(self) -> None:
         """Leave out links without mass and inertia that are fixed to others and carry none, such as flanges."""
@@ -243,6 +282,7 @@ class _Builder:
         free = [] if self.fixed_base else [root.name]
         unlimited = []
         ends: dict[str, Any] = {}
+        coordinates: dict[str, JointCoordinate] = {}
         for joint in self.robot.joints:
             if self.owner[joint.child] != joint.child:
                 continue
@@ -253,9 +293,11 @@ class _Builder:
             if joint.kind in MOVING:
                 ends[joint.name] = joint, a, b
             if joint.kind in ("revolute", "continuous"):
-                joints.append(Revolute(a, b, axis="z", name=name))
+                joints.append(hinge := Revolute(a, b, axis="z", name=name))
+                coordinates[joint.name] = hinge.angle
             elif joint.kind == "prismatic":
-                joints.append(Prismatic(a, b, axis="z", name=name))
+                joints.append(slide := Prismatic(a, b, axis="z", name=name))
+                coordinates[joint.name] = slide.travel
             elif joint.kind == "planar":
                 joints.append(Planar(a, b, normal="z", name=name))
             elif joint.kind == "spherical":
@@ -279,6 +321,10 @@ class _Builder:
             forces.append(stop(a, b, "z", **options, name=f"{name}_stop"))
         if unlimited:
             warn(f"limits of joints {unlimited} are about a turn apart, or more: they are left out")
+        for joint in self.robot.joints:
+            if (mimic := joint.mimics) is not None:
+                pair = coordinates[joint.name], coordinates[mimic.joint]
+                joints.append(JointCoupling(pair, [1.0, -mimic.ratio], name=f"{identifier(joint.name)}_mimic"))
         forces += actuator_forces(self.robot.actuators, ends, controls)
         for closure in self.robot.closures:
             first, second = (self.closure_poses[link].pose for link in closure.links)

@@ -5,7 +5,7 @@
     ball, free               spherical, floating
     inertial, or geom        sphere, capsule, cylinder, box, ellipsoid, by mass or density
     motor, position, velocity, general on joints (gain fixed, bias none or affine)
-    connect, weld, joint     spherical, fixed, a joint that mimics another
+    connect, weld, joint     spherical, fixed, a joint that mimics another by a linear relation
 
 Defaults, classes, units of angles and inertia of geoms are as in MuJoCo; also the flags that disable contact, limits,
 friction, equality or gravity. Not read: elements that are seen or measured (assets, visuals, sites, sensors, cameras,
@@ -34,6 +34,7 @@ from torchmbd.extensions.robots.tree import (
     Actuator,
     Closure,
     Link,
+    Mimic,
     Pose,
     Robot,
     RobotJoint,
@@ -288,9 +289,7 @@ class _Reader(Values):
             if attributes.get("active", "true") != "true":
                 continue
             if element.tag == "joint":
-                if (follows := attributes.get("joint1", "")) not in joints:
-                    raise unknown(f"{where}: joint1", follows, joints)
-                joints[follows] = replace(joints[follows], mimics=True)
+                self._couple(where, attributes, joints)
                 continue
             quaternion = self.numbers(where, attributes, "relpose", "0 1 0 0 0 0 0", 7)[3:]
             if element.tag not in ("connect", "weld") or "site1" in attributes or any(quaternion):
@@ -301,6 +300,25 @@ class _Reader(Values):
                     raise unknown(f"{where}: body", link, links)
             place = np.array(self.numbers(where, attributes, "anchor", "" if element.tag == "connect" else "0 0 0", 3))
             yield Closure(name, "spherical" if element.tag == "connect" else "fixed", pair, place)
+
+    def _couple(self, where: str, attributes: Attributes, joints: dict[str, Any]) -> None:
+        """Have joint1 follow joint2 in `joints`: x - x0 = a0 + a1 (y - y0), with coordinates x0 and y0 of the file's start."""
+        names = [attributes[key] for key in ("joint1", "joint2") if key in attributes or key == "joint1"]
+        for key, name in zip(("joint1", "joint2"), names, strict=False):
+            if name not in joints:
+                raise unknown(f"{where}: {key}", name, joints)
+        terms = self.numbers(where, attributes, "polycoef", "0 1 0 0 0")
+        if any(terms[2:]) and len(names) == 2:
+            raise InputError(f"{where}: polycoef = {terms}: must be linear, as zero from the third number on")
+        follower = joints[names[0]]
+        if follower.mimics is not None:
+            raise InputError(f"{where}: joint1 = {names[0]!r} follows two joints. Try: one <joint> for each joint1")
+        constant, ratio = ([*terms, 0.0, 0.0])[:2]
+        if len(names) == 1:
+            mimic = Mimic("", 0.0, follower.start + constant)
+        else:
+            mimic = Mimic(names[1], ratio, follower.start + constant - ratio * joints[names[1]].start)
+        joints[names[0]] = replace(follower, mimics=mimic)
 
     def _actuators(self, part: ET.Element, joints: dict[str, Any]) -> Iterator[Actuator]:
         for k, element in enumerate(part):

@@ -54,6 +54,15 @@ class Link:
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """The relation x = ratio y + offset of the coordinate x of a joint to y, that of another joint; joint "": x = offset."""
+
+    joint: str
+    ratio: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class RobotJoint:
     """A joint; its frame is that of the child link where its coordinate is zero.
 
@@ -63,7 +72,7 @@ class RobotJoint:
     rest      coordinate where its spring has no force
     spring_terms, damper_terms  factors of x^2, x^3 and of v |v|, v^3 in their forces
     start     initial coordinate where none is given
-    mimics    whether its coordinate follows that of another joint
+    mimics    how its coordinate follows that of another joint; None: it does not
     """
 
     name: str
@@ -75,7 +84,7 @@ class RobotJoint:
     limits: tuple[float, float] | None
     damping: float
     friction: float
-    mimics: bool = False
+    mimics: Mimic | None = None
     anchor: np.ndarray = field(default_factory=lambda: np.zeros(3))
     stiffness: float = 0.0
     rest: float = 0.0

@@ -14,7 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from torchmbd.errors import InputError, unknown, warn
-from torchmbd.extensions.robots.tree import Link, Pose, Robot, RobotJoint, by_unique_name, numbers, read_xml, robot_tree
+from torchmbd.extensions.robots.tree import (
+    Link,
+    Mimic,
+    Pose,
+    Robot,
+    RobotJoint,
+    by_unique_name,
+    numbers,
+    read_xml,
+    robot_tree,
+)
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
@@ -141,5 +151,16 @@ def _joint(file: str, element: ET.Element) -> RobotJoint:
     if min(losses) < 0.0:
         raise InputError(f"{where}: damping, friction are {losses}; allowed: zero or positive")
     origin = _pose(where, element.find("origin"))
-    mimics, axis = kind != "fixed" and element.find("mimic") is not None, axis / (length or 1.0)
-    return RobotJoint(name, kind, ends[0], ends[1], origin, axis, limits, losses[0], losses[1], mimics)
+    mimics = None if kind == "fixed" else _mimic(where, element.find("mimic"))
+    return RobotJoint(
+        name, kind, ends[0], ends[1], origin, axis / (length or 1.0), limits, losses[0], losses[1], mimics
+    )
+
+
+def _mimic(where: str, element: ET.Element | None) -> Mimic | None:
+    if element is None:
+        return None
+    if not element.get("joint"):
+        raise InputError(f"{where}: joint of <mimic> is missing. Try: <mimic joint=... multiplier=... offset=...>")
+    ratio, offset = (_number(where, element, key, x) for key, x in (("multiplier", 1.0), ("offset", 0.0)))
+    return Mimic(element.get("joint", ""), ratio, offset)

@@ -83,11 +83,12 @@ def _sizes(dynamics: Dynamics, x: State, h: float) -> tuple[Tensor, Tensor]:
         return vectors.norm(dim=0, keepdim=True).amax(1, keepdim=True).expand_as(vectors) if T.bodies else vectors
 
     r, p, rd, omega = longest(r), torch.ones_like(p), longest(rd), longest(omega)
+    tau = torch.ones_like(equations.counted_angles(T, x.q))[:, None]
     if T.flexible:
         stiffness = torch.diagonal(dynamics.data["Kr"], dim1=0, dim2=1).movedim(-1, 0)
         energy = (stiffness * w * w).sum(0, keepdim=True)
         w, wd = (energy / stiffness.clamp_min(_TINY)).sqrt(), wd.norm(dim=0, keepdim=True).expand_as(wd)
     of_step = _OF_A_STEP / h
     rates = [rd.maximum(of_step * r), omega.clamp_min(of_step), wd.maximum(of_step * w)]
-    q, v = (torch.cat([y.expand(*y.shape[:-1], lanes).flatten(0, 1) for y in part]) for part in ([r, p, w], rates))
+    q, v = (torch.cat([y.expand(*y.shape[:-1], lanes).flatten(0, 1) for y in part]) for part in ([r, p, w, tau], rates))
     return q, v

@@ -29,7 +29,6 @@ Checked in tests/contracts/test_actions.py: direction against autograd, momentum
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -37,7 +36,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchmbd.math.elementwise import apply_elementwise, partial_derivatives, reciprocal, sqrt
+from torchmbd.math.elementwise import angle_near, apply_elementwise, partial_derivatives, reciprocal, sqrt
 from torchmbd.math.pair import Pair, cat, cross, dot, linear, value
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.laws import Scaled, data_fields
@@ -135,8 +134,8 @@ class Turn(Action):
         x, y, b = vectors
         c, s = dot(x, b), dot(y, b)
         if len(self.laws) == 1:
-            return _angle(s, c, getattr(self.laws[0], "center", 0.0))
-        parts = [_angle(s[i : i + 1], c[i : i + 1], getattr(law, "center", 0.0)) for i, law in enumerate(self.laws)]
+            return angle_near(s, c, getattr(self.laws[0], "center", 0.0))
+        parts = [angle_near(s[i : i + 1], c[i : i + 1], getattr(law, "center", 0.0)) for i, law in enumerate(self.laws)]
         return cat(parts)
 
 
@@ -210,19 +209,6 @@ def law_slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Te
         return method(s, rate, t)
     by_s, by_rate, _ = partial_derivatives(law, s, rate, t)
     return by_s, by_rate
-
-
-def _angle(s: Any, c: Any, center: float) -> Any:
-    """The angle of the point (c, s) within half a turn of a center."""
-    c0, s0 = math.cos(center), math.sin(center)
-
-    def angle(s: Tensor, c: Tensor) -> Tensor:
-        return torch.atan2(s * c0 - c * s0, c * c0 + s * s0) + center
-
-    if not isinstance(s, Pair):
-        return angle(s, c)
-    square = s.value * s.value + c.value * c.value
-    return Pair.of(angle(s.value, c.value), (c.value * s.tangent - s.value * c.tangent) / square)
 
 
 # The order in which actions stand; other kinds come behind, as they occur.

@@ -24,7 +24,7 @@ from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Along, Push, Turn, Twist
 from torchmbd.multibody.joints.cylindrical import Cylindrical
-from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
+from torchmbd.multibody.joints.joint import AttachmentTable, JointCoordinate
 from torchmbd.multibody.joints.laws import finite
 from torchmbd.multibody.joints.prismatic import Prismatic
 from torchmbd.multibody.joints.revolute import Revolute
@@ -84,9 +84,7 @@ class JointAngle(_OfJoint):
         self.center = finite("center", center)
 
     def coordinates(self, attachments: AttachmentTable) -> Sequence[Coordinate | None]:
-        a, b = self.frames
-        x, y = other_axes(self.joint.axis)
-        vectors = attachments.axis(a, x), attachments.axis(a, y), attachments.coincident_axis(a, x, b)
+        vectors = JointCoordinate(self.joint, turns=True).vectors(attachments)
         return (Coordinate(Turn, vectors, self._rate, self.center),)
 
 
@@ -105,7 +103,7 @@ class JointTravel(_OfJoint):
     _joints = (Prismatic, Cylindrical)
 
     def coordinates(self, attachments: AttachmentTable) -> Sequence[Coordinate | None]:
-        return (Coordinate(Along, _along(self.joint, attachments), self._rate),)
+        return (Coordinate(Along, JointCoordinate(self.joint, turns=False).vectors(attachments), self._rate),)
 
 
 class JointSpeed(JointTravel):
@@ -179,7 +177,7 @@ class JointForce(Actuator):
         self.frames = (joint.a, joint.b)
 
     def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
-        return (Effort(Along, _along(self.joint, attachments)),)
+        return (Effort(Along, JointCoordinate(self.joint, turns=False).vectors(attachments)),)
 
 
 class ForceOn(Actuator):
@@ -200,14 +198,6 @@ class ForceOn(Actuator):
         (frame,) = self.frames
         owner = Ground().at() if self.axes == "ground" else frame
         return (Effort(Push, (attachments.point(frame), attachments.axis(owner, self.axis))),)
-
-
-def _along(joint: Any, attachments: AttachmentTable) -> tuple[int, ...]:
-    return (
-        attachments.coincident_point(joint.b, joint.a),
-        attachments.point(joint.b),
-        attachments.axis(joint.a, joint.axis),
-    )
 
 
 def _checked_joint(owner: Any, joint: Any, kinds: tuple[type, ...]) -> Any:

@@ -5,6 +5,7 @@ from torchmbd.multibody.joints.distance import Distance
 from torchmbd.multibody.joints.drive import Drive
 from torchmbd.multibody.joints.fixed import Fixed
 from torchmbd.multibody.joints.joint import Joint
+from torchmbd.multibody.joints.joint_coupling import JointCoupling
 from torchmbd.multibody.joints.laws import ConstantSpeed, Sine, SmoothStep
 from torchmbd.multibody.joints.planar import Planar
 from torchmbd.multibody.joints.point_on_plane import PointOnPlane
@@ -15,7 +16,10 @@ from torchmbd.multibody.joints.universal import Universal
 
 JOINTS: dict[str, type[Joint]] = {
     kind.__name__.lower(): kind
-    for kind in (Cylindrical, Distance, Drive, Fixed, Planar, PointOnPlane, Prismatic, Revolute, Spherical, Universal)
+    for kind in (
+        *(Cylindrical, Distance, Drive, Fixed, JointCoupling, Planar, PointOnPlane, Prismatic, Revolute, Spherical),
+        Universal,
+    )
 }
 
 __all__ = [
@@ -26,6 +30,7 @@ __all__ = [
     "Drive",
     "Fixed",
     "Joint",
+    "JointCoupling",
     "Planar",
     "PointOnPlane",
     "Prismatic",

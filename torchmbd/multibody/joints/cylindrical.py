@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from torchmbd.errors import checked_signature
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, other_axes
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, JointCoordinate, other_axes
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
@@ -25,6 +25,16 @@ class Cylindrical(Joint):
     def __init__(self, a: Frame, b: Frame, axis: str = "z", name: str | None = None):
         super().__init__(a, b, name)
         self.axis = self.common_axis(axis)
+
+    @property
+    def angle(self) -> JointCoordinate:
+        """The angle of b from a about the axis [rad], for `JointCoupling`."""
+        return JointCoordinate(self, turns=True)
+
+    @property
+    def travel(self) -> JointCoordinate:
+        """The travel of b from a along the axis [m], for `JointCoupling`."""
+        return JointCoordinate(self, turns=False)
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         points = attachments.point(self.a), attachments.point(self.b)

@@ -16,7 +16,7 @@ from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
 from torchmbd.math.plausible_units import warn_degrees
 from torchmbd.math.torch_law import require_differentiable
 from torchmbd.math.variable import ParameterVector
-from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, as_frame, other_axes
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, JointCoordinate, as_frame
 from torchmbd.multibody.joints.laws import ConstantSpeed, FiniteLaw, finite
 from torchmbd.multibody.joints.parametric_law import ParametricDrive
 from torchmbd.multibody.joints.primitive import Angle, Law, Travel
@@ -79,17 +79,8 @@ class Drive(Joint):
         return self.law.variables if isinstance(self.law, ParametricDrive) else None
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
-        if self.travels:
-            points = attachments.coincident_point(self.b, self.a), attachments.point(self.b)
-            yield Equation(Travel, (*points, attachments.axis(self.a, self.axis)), self.law)
-        else:
-            x, y = other_axes(self.axis)
-            axes = (
-                attachments.axis(self.a, x),
-                attachments.axis(self.a, y),
-                attachments.coincident_axis(self.a, x, self.b),
-            )
-            yield Equation(Angle, axes, self.law)
+        vectors = JointCoordinate(self, turns=not self.travels).vectors(attachments)
+        yield Equation(Travel if self.travels else Angle, vectors, self.law)
 
 
 OF_TABLES = "a table as a spline of SciPy, and that as torch operations on its x and c"

@@ -163,6 +163,35 @@ class AttachmentTable:
         return self._add(other.body, other.body.axes.T @ (ground - other.body.position), other.interpolation, True)
 
 
+@dataclass(frozen=True, eq=False)
+class JointCoordinate:
+    """The angle of b from a about the axis of a joint [rad], or its travel along it [m], from the given initial positions.
+
+    joint   with frames a and b and an axis of frame a
+    turns   whether it is the angle
+    """
+
+    joint: Any
+    turns: bool
+
+    def vectors(self, attachments: AttachmentTable) -> tuple[int, int, int]:
+        """Indices of its vectors: axes x and y of a and x of b, or the points of a and b and the axis."""
+        a, b, axis = self.joint.a, self.joint.b, self.joint.axis
+        if not self.turns:
+            return attachments.coincident_point(b, a), attachments.point(b), attachments.axis(a, axis)
+        x, y = other_axes(axis)
+        return attachments.axis(a, x), attachments.axis(a, y), attachments.coincident_axis(a, x, b)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, JointCoordinate) and other.joint is self.joint and other.turns == self.turns
+
+    def __hash__(self) -> int:
+        return hash((id(self.joint), self.turns))
+
+    def __repr__(self) -> str:
+        return f"{self.joint.name}.{'angle' if self.turns else 'travel'}"
+
+
 class Joint:
     """Base of all joints: two frames on two different bodies, and a name."""
 
@@ -183,9 +212,14 @@ class Joint:
         raise NotImplementedError(type(self).__name__)
 
     @property
-    def frames(self) -> tuple[Frame, Frame]:
-        """Both frames."""
+    def frames(self) -> tuple[Frame, ...]:
+        """Both frames; of a coupling, those of all joints that it couples."""
         return self.a, self.b
+
+    @property
+    def joints(self) -> tuple[Joint, ...]:
+        """Other joints that it couples."""
+        return ()
 
     @property
     def variables(self) -> ParameterVector | None:

@@ -10,6 +10,7 @@ All primitives of one kind are evaluated together; `members` holds, for each arg
     Distance       (|g_b - g_a|^2 - L^2) / (2 L) = 0           1      m
     Angle          cos(th) y_a . x_b - sin(th) x_a . x_b = 0   1      -     th(t): the prescribed angle [rad]
     Travel         (g_b - g_a) . u_a - s = 0                   1      m     s(t): the prescribed travel [m]
+    Relation       sum c_i x_i - d = 0                         1      -     angles and travels of joints (relation.py)
 
 The contract of a kind:
 
@@ -20,7 +21,8 @@ The contract of a kind:
     drive(x)                     arguments of the equation out of a prescribed x, number or jet: (cos th, sin th), or (s,)
 
 The argument `drive` of phi and forces has these at the time of evaluation; None without a law. `numbers` holds the constants
-of all primitives of the kind.
+of all primitives of the kind. A kind with angles gets their turns behind these: angles of rigid bodies that count full turns
+(multibody/system/turns.py), near which those of its equation are.
 
 No other code is needed for a constraint, not even for compiled steps, which are traced from phi and forces: Phi_q and the
 generalized constraint forces are `forces` transformed to the bodies, gamma is the acceleration part of the jet, the design
@@ -31,7 +33,7 @@ Checked in tests/contracts/test_primitives.py: `forces` against autograd, jets a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -52,15 +54,33 @@ class Primitive:
     members  for each argument the indices of its vectors, long [n]
     data     for each primitive its constants, its law, or None
     constants  numbers in its equation, such as a length: one, or a tuple of so many, for each primitive
-    driven   number of arguments that the equation takes from a law; 0: no law
+    driven   number of arguments that the equation takes from a law, or from numbers that may vary with the design; 0: none
+    prescribes  whether these are laws of time, which move bodies
+    turns    for each of its `angles` the numbers of its counted turns, long [n]
     """
 
     members: tuple[Tensor, ...]
     data: tuple = ()
+    turns: tuple[Tensor, ...] = ()
     rows: ClassVar[int]
     arguments: ClassVar[tuple[str, ...]]
     constants: ClassVar[int] = 0
     driven: ClassVar[int] = 0
+    prescribes: ClassVar[bool] = False
+    angles: ClassVar[int] = 0
+    travels: ClassVar[int] = 0  # of joints, in a relation
+    word: ClassVar[str] = ""  # in names of rows; "": the name of the class
+
+    def select(self, numbers: Sequence[int], position: Mapping[int, int] | None = None) -> Primitive:
+        """Some of the primitives; position: of vectors in another order."""
+
+        def chosen(index: Tensor) -> Tensor:
+            return index[torch.tensor(numbers, dtype=torch.long)]
+
+        members = tuple(map(chosen, self.members))
+        if position is not None:
+            members = tuple(torch.tensor([position[i] for i in m.tolist()], dtype=torch.long) for m in members)
+        return type(self)(members, tuple(self.data[j] for j in numbers), tuple(map(chosen, self.turns)))
 
     def phi(self, vectors, drive=None):
         """Constraint violations [rows, n, ...] of vectors [3, n, ...], numbers or jets."""
@@ -118,7 +138,7 @@ class Perpendicular(Primitive):
 
     def phi(self, vectors, drive=None):
         u, v = vectors
-        return _row(dot(u, v))
+        return row(dot(u, v))
 
     def forces(self, vectors, lam, drive=None):
         u, v = vectors
@@ -133,7 +153,7 @@ class Plane(Primitive):
 
     def phi(self, vectors, drive=None):
         a, b, u = vectors
-        return _row(dot(b - a, u))
+        return row(dot(b - a, u))
 
     def forces(self, vectors, lam, drive=None):
         a, b, u = vectors
@@ -151,7 +171,7 @@ class Distance(Primitive):
     def phi(self, vectors, drive=None):
         a, b = vectors
         (length,) = self.numbers
-        return _row(dot(b - a, b - a) * (0.5 / length) - 0.5 * length)
+        return row(dot(b - a, b - a) * (0.5 / length) - 0.5 * length)
 
     def forces(self, vectors, lam, drive=None):
         a, b = vectors
@@ -166,6 +186,7 @@ class Angle(Primitive):
     rows = 1
     arguments = ("axis", "axis", "axis")
     driven = 2
+    prescribes = True
 
     @classmethod
     def drive(cls, x):
@@ -173,12 +194,12 @@ class Angle(Primitive):
 
     def phi(self, vectors, drive=None):
         x, y, b = vectors
-        c, s = _required(drive)
-        return _row(dot(y, b) * c - dot(x, b) * s)
+        c, s = required(drive)
+        return row(dot(y, b) * c - dot(x, b) * s)
 
     def forces(self, vectors, lam, drive=None):
         x, y, b = vectors
-        c, s = (lam * part for part in _required(drive))
+        c, s = (lam * part for part in required(drive))
         return [-(s * b), c * b, c * y - s * x]
 
 
@@ -188,6 +209,7 @@ class Travel(Primitive):
     rows = 1
     arguments = ("point", "point", "axis")
     driven = 1
+    prescribes = True
 
     @classmethod
     def drive(cls, x):
@@ -195,8 +217,8 @@ class Travel(Primitive):
 
     def phi(self, vectors, drive=None):
         a, b, u = vectors
-        (s,) = _required(drive)
-        return _row(dot(b - a, u) - s)
+        (s,) = required(drive)
+        return row(dot(b - a, u) - s)
 
     def forces(self, vectors, lam, drive=None):
         a, b, u = vectors
@@ -204,15 +226,15 @@ class Travel(Primitive):
         return [-pull, pull, lam * (b - a)]
 
 
-def _required(drive: tuple | None) -> tuple:
+def required(drive: tuple | None) -> tuple:
     if drive is None:
         raise TypeError("a driven primitive needs the argument drive")
     return drive
 
 
-def _row(x):
+def row(x):
     """Give a scalar equation its row axis."""
-    return x.map(_row) if isinstance(x, Jet) else x[None]
+    return x.map(row) if isinstance(x, Jet) else x[None]
 
 
 def _numbers(law: Any, times: Tensor, data: Mapping[str, Any] | None) -> Any:

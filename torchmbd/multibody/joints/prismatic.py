@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from torchmbd.errors import checked_signature
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, other_axes
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, JointCoordinate, other_axes
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
@@ -25,6 +25,11 @@ class Prismatic(Joint):
     def __init__(self, a: Frame, b: Frame, axis: str = "x", name: str | None = None):
         super().__init__(a, b, name)
         self.axis = self.common_axis(axis)
+
+    @property
+    def travel(self) -> JointCoordinate:
+        """The travel of b from a along the axis [m], for `JointCoupling`."""
+        return JointCoordinate(self, turns=False)
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         y, z = other_axes(self.axis)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from torchmbd.errors import checked_signature
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, other_axes
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, JointCoordinate, other_axes
 from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 
 
@@ -25,6 +25,11 @@ class Revolute(Joint):
     def __init__(self, a: Frame, b: Frame, axis: str = "z", name: str | None = None):
         super().__init__(a, b, name)
         self.axis = self.common_axis(axis)
+
+    @property
+    def angle(self) -> JointCoordinate:
+        """The angle of b from a about the axis [rad], for `JointCoupling`."""
+        return JointCoordinate(self, turns=True)
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         yield Equation(Coincide, (attachments.point(self.a), attachments.point(self.b)))

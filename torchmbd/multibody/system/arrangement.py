@@ -26,6 +26,7 @@ from torchmbd.multibody.system.beams import Beams
 from torchmbd.multibody.system.index_maps import SegmentSum, SparseMap
 from torchmbd.multibody.system.prescribed_body import PrescribedBody
 from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.system.turns import Turns
 
 
 def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[ForceElement] = ()) -> Topology:
@@ -37,6 +38,7 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[Force
     flexible = sum(hasattr(body, "mesh") for body in order)
     ground = len(order)
     attachments = AttachmentTable()
+    _refuse_other_joints(joints)
     equations = [(joint, equation) for joint in joints for equation in _equations(joint, attachments, number)]
     applied = [action for force in forces for action in _actions(force, attachments, number)]
     ends = [pair for force in forces for pair in force.beams(attachments)]
@@ -44,17 +46,19 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[Force
     vector_order = sorted(range(len(on_flexible)), key=lambda i: not on_flexible[i])
     position = {old: new for new, old in enumerate(vector_order)}
     attached = tuple(attachments.vectors[i] for i in vector_order)
-    primitives, row_names, row_joints = _group(equations, position)
+    primitives, row_names, row_joints, angles = _group(equations, position)
+    body_of = [number.get(id(x.body), ground) for x in attached]
     return assemble(
         names=[body.name for body in order],
         mode_counts=tuple(body.modes for body in order[:flexible]),
         attached=attached,
-        body_of=[number.get(id(x.body), ground) for x in attached],
+        body_of=body_of,
         primitives=primitives,
         row_names=row_names,
         row_joints=row_joints,
         actions=_group_actions(applied, position),
         beams=[position[pair[k]] for k in range(2) for pair in ends],
+        turns=Turns.of(angles, attached, body_of),
     )
 
 
@@ -71,6 +75,7 @@ def assemble(
     prescribed_bodies: tuple[PrescribedBody, ...] = (),
     rates: Tensor | None = None,
     beams: Sequence[int] = (),
+    turns: Turns | None = None,
 ) -> Topology:
     """The topology of named bodies, flexible ones first, with its index tensors.
 
@@ -112,6 +117,7 @@ def assemble(
         rates=rates,
         spread=None if rates is None else SparseMap(rates),
         gather=None if rates is None else SparseMap(rates.T),
+        turns=turns,
     )
 
 
@@ -122,8 +128,20 @@ def _refuse_repeated(argument: str, elements: Sequence[Any]) -> None:
             raise InputError(f"{argument}: {element.name!r} is listed {times} times; allowed: each once")
 
 
+def _refuse_other_joints(joints: Sequence[Joint]) -> None:
+    """InputError for a coupling of joints that are not among these."""
+    present = {id(joint) for joint in joints}
+    for joint in joints:
+        for other in joint.joints:
+            if id(other) not in present:
+                raise InputError(
+                    f"joint {joint.name!r} couples {other.name!r}, which is not among the joints of the system. "
+                    f"Try: joints=[..., {other.name}, {joint.name}]"
+                )
+
+
 def _equations(joint: Joint, attachments: AttachmentTable, number: dict[int, int]) -> list[Equation]:
-    for frame in (joint.a, joint.b):
+    for frame in joint.frames:
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
                 f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
@@ -186,20 +204,28 @@ def _group_actions(applied: list[Applied], position: dict[int, int]) -> tuple[Ac
 
 def _group(
     equations: list[tuple[Joint, Equation]], position: dict[int, int]
-) -> tuple[tuple[Primitive, ...], tuple[str, ...], tuple[str, ...]]:
-    """The primitives, one object for each kind, and name and joint of each row; rows of a kind run component by component."""
+) -> tuple[tuple[Primitive, ...], tuple[str, ...], tuple[str, ...], list[tuple[int, ...]]]:
+    """The primitives, one object for each kind, and name and joint of each row; rows of a kind run component by component.
+
+    The last result has the vectors of each counted angle.
+    """
     primitives, names, owners = [], [], []
+    angles: dict[tuple[int, ...], int] = {}
     for kind in _in_order((equation for _, equation in equations), KINDS):
         members = [(joint, equation) for joint, equation in equations if equation.kind is kind]
         vectors = tuple(
             torch.tensor([position[equation.vectors[k]] for _, equation in members]) for k in range(len(kind.arguments))
         )
-        primitives.append(kind(vectors, tuple(equation.data for _, equation in members)))
+        turns = []
+        for k in range(kind.angles):
+            each = zip(*(x.tolist() for x in vectors[3 * k : 3 * k + 3]), strict=True)
+            turns.append(torch.tensor([angles.setdefault(angle, len(angles)) for angle in each]))
+        primitives.append(kind(vectors, tuple(equation.data for _, equation in members), tuple(turns)))
         for component in range(kind.rows):
             suffix = f" {'xyz'[component]}" if kind.rows == 3 else ""
-            names += [f"{joint.name}: {kind.__name__.lower()}{suffix}" for joint, _ in members]
+            names += [f"{joint.name}: {kind.word or kind.__name__.lower()}{suffix}" for joint, _ in members]
             owners += [joint.name for joint, _ in members]
-    return tuple(primitives), _numbered(names), tuple(owners)
+    return tuple(primitives), _numbered(names), tuple(owners), list(angles)
 
 
 def _numbered(names: list[str]) -> tuple[str, ...]:

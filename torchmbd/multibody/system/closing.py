@@ -61,7 +61,7 @@ class Closing:
         T, data = dynamics.topology, dynamics.values().data
         t = torch.zeros((), dtype=torch.float64)
         undeformed = start.clone()
-        undeformed[7 * T.bodies :] = 0.0
+        equations.split_q(T, undeformed)[2].zero_()
         before, after, still = (
             equations.placement(T, data, q, T.prescribed(t, data)) for q in (start, closed, undeformed)
         )
@@ -71,10 +71,10 @@ class Closing:
         size = float((places.amax(1) - places.amin(1)).norm())
         gaps, phi = {}, equations.constraints(T, still)[:, 0, 0].abs()
         for kind, rows in T.row_slices():
-            unit = int(isinstance(kind, (Perpendicular, Angle)))
+            unit = 2 if kind.angles and not kind.travels else int(isinstance(kind, (Perpendicular, Angle)))
             for i in range(rows.start, rows.stop):
-                gaps.setdefault(T.row_joints[i], [0.0, 0.0])[unit] += float(phi[i]) ** 2
-        joints = [Way(name, x[0] ** 0.5, math.asin(min(x[1] ** 0.5, 1.0))) for name, x in gaps.items()]
+                gaps.setdefault(T.row_joints[i], [0.0, 0.0, 0.0])[unit] += float(phi[i]) ** 2
+        joints = [Way(name, x[0] ** 0.5, math.asin(min(x[1] ** 0.5, 1.0)) + x[2] ** 0.5) for name, x in gaps.items()]
         bodies = [_way(T, k, before, after, start, closed) for k in range(T.bodies)]
         return cls(
             *(_listed(ways, size) for ways in (joints, bodies)),

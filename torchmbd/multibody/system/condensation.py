@@ -84,18 +84,14 @@ class Condensation:
 
         def whole(y: Any, order: int) -> Any:
             components = 6 if order else 7
-            rows = component_rows(self.whole, self.bodies, components)
-            z = linear(lambda u: _scattered(spread(u) if spread and order else u, rows, self._size(components)), y)
+            rows, size = component_rows(self.whole, self.bodies, components), component_count(self.whole, components)
+            z = linear(lambda u: _scattered(spread(u) if spread and order else u, rows, size), y)
             for number, motion in known:
                 of_body = torch.arange(components) * self.whole.bodies + number
-                z = z + linear(lambda u, rows=of_body: _scattered(u, rows, self._size(components)), motion[order])
+                z = z + linear(lambda u, rows=of_body: _scattered(u, rows, size), motion[order])
             return z
 
         return type(x)(whole(x.q, 0), whole(x.v, 1), whole(x.vd, 2), whole(x.a, 2), x.lam)
-
-    def _size(self, components: int) -> int:
-        """Coordinates (7 components of a body) or rates (6) of the whole system."""
-        return components * self.whole.bodies + self.whole.modes * self.whole.flexible
 
     def of_whole(self, order: int, x: Tensor) -> Tensor:
         """Cotangents of q (order 0), v (1) or a (2) [times, k, rows, lanes] of the condensed system, of those of the whole."""
@@ -114,8 +110,8 @@ class Condensation:
     def of_retained_state(self, x: Sequence[Tensor]) -> list[Tensor]:
         """Cotangents [rows, n, 1, lanes] of the parts of a whole state, from those of the condensed one (`retained_state`)."""
         rows = [
-            (self.coordinates, self._size(7)),
-            *[(self.independent, self._size(6))] * 3,
+            (self.coordinates, component_count(self.whole, 7)),
+            *[(self.independent, component_count(self.whole, 6))] * 3,
             (self.rows, self.whole.rows),
         ]
         return [_scattered(y.movedim(0, 1), *at).movedim(1, 0) for y, at in zip(x, rows, strict=True)]
@@ -132,10 +128,15 @@ def _scattered(x: Tensor, rows: Tensor, size: int) -> Tensor:
     return x.new_zeros(size, *x.shape[1:]).index_copy(0, rows, x)
 
 
+def component_count(T: Topology, components: int) -> int:
+    """Number of coordinates (7 components of a body) or rates of all bodies (6)."""
+    return T.n_q if components == 7 else T.n_rates
+
+
 def component_rows(T: Topology, bodies: list[int], components: int) -> Tensor:
-    """Rows of q (7 components for each body) or v (6) of some bodies, and of all modes."""
-    modal = [components * T.bodies + a for a in range(T.modes * T.flexible)]
-    return torch.tensor([k * T.bodies + b for k in range(components) for b in bodies] + modal, dtype=torch.long)
+    """Rows of q (7 components for each body) or v (6) of some bodies, of all modes, and of q those of counted angles."""
+    others = list(range(components * T.bodies, component_count(T, components)))
+    return torch.tensor([k * T.bodies + b for k in range(components) for b in bodies] + others, dtype=torch.long)
 
 
 @dataclass
@@ -161,7 +162,7 @@ def _ground_joints(T: Topology, locks: Collection[str]) -> list[_GroundJoints]:
         bodies = torch.stack([T.vector_body[m] for m in primitive.members]).T.tolist()
         for j, on in enumerate(bodies):
             moving = {b for b in on if b < T.bodies}
-            if len(moving) != 1 or (joints := candidates.get(min(moving))) is None:
+            if len(moving) != 1 or primitive.angles or (joints := candidates.get(min(moving))) is None:
                 continue
             if varying.intersection(int(m[j]) for m in primitive.members):
                 del candidates[min(moving)]
@@ -169,7 +170,7 @@ def _ground_joints(T: Topology, locks: Collection[str]) -> list[_GroundJoints]:
             equations_of = [rows.start + c * n + j for c in range(primitive.rows)]
             if T.row_joints[equations_of[0]] in locks:
                 joints.locks += equations_of
-            elif primitive.driven:
+            elif primitive.prescribes:
                 joints.driven += equations_of
                 joints.laws.append(primitive.data[j])
             else:
@@ -193,8 +194,9 @@ class _Poses:
         start = q.new_zeros(1)
 
         def drive(p: Primitive) -> tuple | None:
-            values = [values_at(law, start)[0] + angle for law in p.data] if p.driven else []
-            return p.drive(torch.stack(values)[:, None, None]) if values else None
+            if not p.prescribes:
+                return tuple(value(x)[0, ..., :1] for x in p.prescribed(start)) if p.driven else None
+            return p.drive(torch.stack([values_at(law, start)[0] + angle for law in p.data])[:, None, None])
 
         laws = [drive(p) for p in self.T.primitives]
         excitation = self.T.prescribed(start[0])._replace(laws=laws)
@@ -246,6 +248,9 @@ def condense(
         if not joints.locks and (constant is None or set(joints.rows + joints.driven).issubset(constant))
     ]
     prescribed_bodies: dict[int, PrescribedBody] = {}
+    counted = (
+        set() if T.turns is None else {*T.turns.first.tolist(), *T.turns.second.tolist()}
+    )  # turns are those of unknowns
     poses = _Poses(T)
     q = poses.closed(q, ground_joints) if ground_joints else q
     J = poses.jacobian(q) if ground_joints else q
@@ -254,7 +259,7 @@ def condense(
             continue  # cannot close; InitialConditions raises the error
         free = _null(J[joints.rows][:, poses.columns(joints.body)])
         same_for_all_designs = not any(hasattr(law, "numbers") for law in joints.laws)
-        if same_for_all_designs and free.shape[1] == len(joints.driven) <= 1:
+        if same_for_all_designs and free.shape[1] == len(joints.driven) <= 1 and joints.body not in counted:
             prescribed_body = _prescribed_body(poses, q, joints, free)
             if prescribed_body is not None:
                 prescribed_bodies[joints.body] = prescribed_body
@@ -335,13 +340,7 @@ def _condensation(
     beams = [] if T.beams is None else T.beams.ends.tolist()
     vectors = sorted(used.union(beams))
     position = {old: new for new, old in enumerate(vectors)}
-    primitives = tuple(
-        type(p)(
-            tuple(torch.tensor([position[int(m[j])] for j in numbers]) for m in p.members),
-            tuple(p.data[j] for j in numbers),
-        )
-        for p, numbers in parts
-    )
+    primitives = tuple(p.select(numbers, position) for p, numbers in parts)
     rates, independent = _rates(T, bodies, guided)
     topology = assemble(
         names=[T.names[b] for b in bodies],
@@ -357,6 +356,7 @@ def _condensation(
         prescribed_bodies=tuple(prescribed_bodies.values()),
         rates=rates,
         beams=[position[i] for i in beams],
+        turns=None if T.turns is None else T.turns.renumbered(number | {T.bodies: len(bodies)}),
     )
     return Condensation(
         T, topology, Saddle(topology), bodies, vectors, torch.tensor(rows, dtype=torch.long), independent

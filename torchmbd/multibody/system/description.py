@@ -117,7 +117,7 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
     unknown = [name for name in free if name not in [body.name for body in bodies]]
     if unknown:
         raise InputError(f"free names {unknown}; allowed: names of bodies, {[body.name for body in bodies]}")
-    frames = [frame for joint in joints for frame in (joint.a, joint.b)] + [x for force in forces for x in force.frames]
+    frames = [frame for joint in joints for frame in joint.frames] + [x for force in forces for x in force.frames]
     connected = {id(frame.body) for frame in frames}
     apart = [body for body in bodies if not any(id(x) in connected for x in getattr(body, "node_bodies", [body]))]
     loose = [body.name for body in apart if body.name not in free]
@@ -139,7 +139,7 @@ def _body(body: Any, mass: float) -> Entry:
 
 def _joint(joint: Any) -> Entry:
     rows = sum(equation.kind.rows for equation in joint.equations(AttachmentTable()))
-    return Entry(joint.name, type(joint).__name__, {"rows": rows, "between": f"{joint.a!r} - {joint.b!r}"})
+    return Entry(joint.name, type(joint).__name__, {"rows": rows, "between": " - ".join(map(repr, joint.frames))})
 
 
 def _repeated(joints: list[Any]) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ SIZE, RADIUS, NODE = 420, 150, 30  # pixels
 def html(system: Any) -> str:
     """Tables of bodies, joints and forces, and the diagram."""
     bodies = [(body.name, type(body).__name__) for body in system.bodies]
-    joints = [(joint.name, type(joint).__name__, joint.a, joint.b) for joint in system.joints]
+    joints = [(joint.name, type(joint).__name__, joint.frames[0], joint.frames[-1]) for joint in system.joints]
     forces = [(force.name, type(force).__name__, ", ".join(map(str, force.frames))) for force in system.forces]
     parts = [table(bodies, ("body", "kind")), table(joints, ("joint", "kind", "on", "holds"))]
     parts += [table(forces, ("force", "kind", "on"))] if forces else []
@@ -33,7 +33,7 @@ def svg(system: Any) -> str:
         name: (SIZE / 2 + RADIUS * math.cos(t), SIZE / 2 + RADIUS * math.sin(t))
         for name, t in zip(names, turns, strict=True)
     }
-    lines = [(joint.name, [joint.a, joint.b], "") for joint in system.joints]
+    lines = [(joint.name, list(joint.frames), "") for joint in system.joints]
     lines += [(force.name, list(force.frames), ' stroke-dasharray="4"') for force in system.forces]
     drawn: dict[frozenset[str], int] = {}
     parts = [part for name, frames, dash in lines for part in _line(name, frames, dash, at, drawn)]

@@ -44,7 +44,7 @@ from torch import Tensor
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t, value
 from torchmbd.math.rotation import axial, euler_rates, exponential, quaternion_product, rotation_matrix, skew
-from torchmbd.multibody.system import beams
+from torchmbd.multibody.system import beams, turns
 from torchmbd.multibody.system.moments import Data, bent_stiffness, frame_terms, moments
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
@@ -63,7 +63,7 @@ class Placement:
     g     [3, vectors]         vectors in ground axes; points include the origin of their body
     Y    [3, modes, vectors of flexible bodies]  their derivatives by w; None without any
     arguments                  the same, for each argument of each kind of primitive
-    drives                     what the laws prescribe at this time, for each kind of primitive
+    drives                     what the laws prescribe at this time, and counted angles, for each kind of primitive
     t                          the time
     """
 
@@ -96,8 +96,18 @@ def split_q(T: Topology, q):
     return (
         q[: 3 * n].unflatten(0, (3, n)),
         q[3 * n : 7 * n].unflatten(0, (4, n)),
-        q[7 * n :].unflatten(0, (T.modes, T.flexible)),
+        _modal(T, q).unflatten(0, (T.modes, T.flexible)),
     )
+
+
+def _modal(T: Topology, q):
+    """The rows of q with modal coordinates."""
+    return q[7 * T.bodies :] if T.turns is None else q[7 * T.bodies : 7 * T.bodies + T.modes * T.flexible]
+
+
+def counted_angles(T: Topology, q):
+    """The rows of q with angles that count full turns (turns.py)."""
+    return q[7 * T.bodies + T.modes * T.flexible :]
 
 
 def split_v(T: Topology, v):
@@ -127,7 +137,16 @@ def placement(T: Topology, data: Data, q, excitation: Prescribed) -> Placement:
         rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < T.vectors else rho + bent
     A_of = A.index_select(2, T.vector_body)
     g = matvec(A_of, rho) + r.index_select(1, T.vector_origin)
-    return Placement(A, w, A_of, rho, g, T.arguments(g), excitation.laws, excitation.t, Y)
+    drives = excitation.laws if T.turns is None else _with_turns(T, excitation.laws, counted_angles(T, q))
+    return Placement(A, w, A_of, rho, g, T.arguments(g), drives, excitation.t, Y)
+
+
+def _with_turns(T: Topology, laws: list[tuple | None], tau) -> list[tuple | None]:
+    """What laws prescribe, and behind it the counted angles tau of kinds that have angles."""
+    return [
+        (*(law or ()), *(tau.index_select(0, index) for index in p.turns)) if p.angles else law
+        for p, law in zip(T.primitives, laws, strict=True)
+    ]
 
 
 def _quadratic_rows(T: Topology, data: Data, w):
@@ -211,7 +230,8 @@ def driven_jets(T: Topology, at: Placement, data: Data, v, a, drives: list[tuple
     assert not T.prescribed_bodies
     parts = [T.arguments(part) for part in vector_jets(T, at, data, v, a).parts]
     phi = []
-    for i, (primitive, drive) in enumerate(zip(T.primitives, drives, strict=True)):
+    for i, (primitive, law) in enumerate(zip(T.primitives, drives, strict=True)):
+        drive = (*(law or ()), *(at.drives[i] or ())[primitive.driven :]) if primitive.angles else law
         members = [Jet(*x) for x in zip(*(part[i] for part in parts), strict=True)]
         phi.append(primitive.phi(members, drive).map(lambda x: x.flatten(0, 1)))
     return Jet(*(cat([jet.parts[k] for jet in phi]) for k in range(3)))
@@ -369,11 +389,14 @@ def coordinate_rates(T: Topology, q, v):
     rd, om, wd = split_v(T, v)
     # |p| drifts by integration errors only; this pull keeps it at one and is zero on a motion.
     pull = (0.5 * (1.0 - dot(p, p))) * p
-    return cat([rd.flatten(0, 1), (euler_rates(p, om) + 50.0 * pull).flatten(0, 1), wd.flatten(0, 1)])
+    rates = [rd.flatten(0, 1), (euler_rates(p, om) + 50.0 * pull).flatten(0, 1), wd.flatten(0, 1)]
+    return cat(rates if T.turns is None else [*rates, turns.rates(T, counted_angles(T, q), p, om)])
 
 
 def advance(T: Topology, q, step):
     """Move coordinates by an increment [n_v, ...]: rotation vectors in body axes act on the right (Lie group)."""
     r, p, w = split_q(T, q)
     dr, turn, dw = split_v(T, step)
-    return cat([(r + dr).flatten(0, 1), quaternion_product(p, exponential(turn)).flatten(0, 1), (w + dw).flatten(0, 1)])
+    p = quaternion_product(p, exponential(turn))
+    new = [(r + dr).flatten(0, 1), p.flatten(0, 1), (w + dw).flatten(0, 1)]
+    return cat(new if T.turns is None else [*new, turns.advanced(T, counted_angles(T, q), p, turn)])

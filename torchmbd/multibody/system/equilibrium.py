@@ -276,7 +276,8 @@ def _canceling(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor) -> floa
     """Size of the terms that cancel in forces: stiffness times coordinates, forces of joints, springs against each other."""
     T, data = dynamics.topology, dynamics.values().data
     n = 3 * T.bodies
-    size = torch.cat([q[:n], torch.ones_like(q[:n]), q[7 * T.bodies :]]).abs()
+    w = equations.split_q(T, q[:, None, None])[2].flatten()
+    size = torch.cat([q[:n], torch.ones_like(q[:n]), w]).abs()
     terms = [rest.K.abs() @ size, rest.Phi_q.abs().T @ rest.lam.abs()]
     if T.actions:
         at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))

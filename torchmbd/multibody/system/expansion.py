@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.multibody.system.condensation import Condensation, component_rows
+from torchmbd.multibody.system.condensation import Condensation, component_count, component_rows
 from torchmbd.multibody.system.equations import Data
 from torchmbd.multibody.system.reactions import multipliers
 
@@ -50,7 +50,7 @@ class Expansion:
         """
         c, components = self.condensation, 6 if order else 7
         retained = component_rows(c.whole, c.bodies, components).tolist()
-        every = range(components * c.whole.bodies + c.whole.modes * c.whole.flexible)
+        every = range(component_count(c.whole, components))
         selected = [every[row] for row in (every if index is None else index)]
         position = {row: i for i, row in enumerate(retained)}
         positions = [position[row] for row in selected if row in position]

@@ -98,7 +98,10 @@ class LeastNorm:
 
 def _rates(T: Topology, data: Data, at: Placement, mu: Tensor) -> Tensor:
     """Phi_q mu [rows, ...], mu [n_v, 1, lanes] held fixed."""
-    drives: list[tuple | None] = [drive and tuple(Jet(x, 0.0 * x, 0.0 * x) for x in drive) for drive in at.drives]
+    drives: list[tuple | None] = [
+        drive and tuple(Jet(x, 0.0 * x, 0.0 * x) for x in drive[: p.driven])
+        for p, drive in zip(T.primitives, at.drives, strict=True)
+    ]
     return equations.driven_jets(T, at, data, mu, torch.zeros_like(mu), drives).velocity
 
 

@@ -112,7 +112,7 @@ def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[st
 
 def _driven(T: Topology) -> np.ndarray:
     """Indices of the rows with a law."""
-    return np.array([i for p, rows in T.row_slices() if p.driven for i in range(rows.start, rows.stop)], dtype=int)
+    return np.array([i for p, rows in T.row_slices() if p.prescribes for i in range(rows.start, rows.stop)], dtype=int)
 
 
 def confirm_left_out(dynamics: Any, q: Tensor, rank: Rank) -> Rank:

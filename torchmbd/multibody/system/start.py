@@ -161,11 +161,12 @@ class Start:
         at = self.topology
         if at is None or at.mode_counts == T.mode_counts:
             return x
-        first = x.shape[1] - at.modes * at.flexible
-        w = x[:, first:].unflatten(1, (at.modes, at.flexible))
+        first = (7 if x.shape[1] == at.n_q else 6) * at.bodies
+        last = first + at.modes * at.flexible
+        w = x[:, first:last].unflatten(1, (at.modes, at.flexible))
         parts = enumerate(zip(T.names, T.mode_counts, strict=False))
         moved = [pad(self._of_modes(f"{name}.modal", w[..., i], count), T.modes, (-1,)) for i, (name, count) in parts]
-        return torch.cat([x[:, :first], torch.stack(moved, -1).flatten(1)], 1)
+        return torch.cat([x[:, :first], torch.stack(moved, -1).flatten(1), x[:, last:]], 1)
 
     def _of_modes(self, name: str, x: Tensor, count: int) -> Tensor:
         """As `of_modes`; a search leaves out what a design does not have."""

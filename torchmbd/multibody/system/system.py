@@ -141,15 +141,14 @@ class System(nn.Module):
         names = [element.name for element in elements]
         axes_in_use = [attached.varying for attached in self.topology.attached if not attached.is_point]
         for element in elements:
-            for side, frame in zip("ab", element.frames, strict=False):
+            frames = () if getattr(element, "joints", ()) else element.frames  # those of a coupling are of its joints
+            for side, frame in zip("ab", frames, strict=False):
                 if frame.varying is not None and frame.varying.record.turns and frame.varying not in axes_in_use:
                     raise InputError(
                         f"turn of frame {side} of {element.name!r} is a design variable, but no axis of this frame is used, as "
                         "joints take those of their first frame; allowed: turn of the other frame, or numbers"
                     )
-            modules = {
-                f"{element.name}_{side}": frame.varying for side, frame in zip("ab", element.frames, strict=False)
-            }
+            modules = {f"{element.name}_{side}": frame.varying for side, frame in zip("ab", frames, strict=False)}
             modules |= {element.name: None if element.variables is None else element.variables.module}
             for name, module in modules.items():
                 if module is None:

@@ -3,7 +3,7 @@ for all designs.
 
 Order of the unknowns (flexible bodies come first):
 
-    q = r [3, bodies] | p [4, bodies] | w [modes, flexible]         coordinates
+    q = r [3, bodies] | p [4, bodies] | w [modes, flexible] | tau   coordinates; tau: counted angles (turns.py), mostly none
     v = r' [3, bodies] | omega [3, bodies] | w' [modes, flexible]   rates; omega in body axes
     lam: rows of the primitives, kind by kind (multibody/joints/primitive.py)
 
@@ -33,6 +33,7 @@ from torchmbd.multibody.system.beams import Beams
 from torchmbd.multibody.system.coupling import Coupling
 from torchmbd.multibody.system.index_maps import SegmentSum, SparseMap
 from torchmbd.multibody.system.prescribed_body import PrescribedBody
+from torchmbd.multibody.system.turns import Turns
 
 
 class Prescribed(NamedTuple):
@@ -109,6 +110,7 @@ class Topology:
     rates: Tensor | None = None  # [rates of all bodies, independent rates]
     spread: SparseMap | None = None  # `rates` as a map: independent rates -> rates of all bodies
     gather: SparseMap | None = None  # its transpose: forces on all bodies -> forces on independent rates
+    turns: Turns | None = None  # angles that count full turns
 
     def with_modes(self, mode_counts: tuple[int, ...]) -> Topology:
         """The topology of the same system whose flexible bodies have other numbers of modes; of one that is not condensed."""
@@ -132,7 +134,12 @@ class Topology:
 
     @property
     def n_q(self) -> int:
-        return 7 * self.bodies + self.modes * self.flexible
+        return 7 * self.bodies + self.modes * self.flexible + self.turned
+
+    @property
+    def turned(self) -> int:
+        """Number of counted angles."""
+        return 0 if self.turns is None else len(self.turns)
 
     @property
     def n_v(self) -> int:
@@ -232,8 +239,7 @@ class Topology:
         """The same bodies, attached vectors and data with some of the constraint rows, as in a phase of a motion."""
         rows, primitives = set(rows), []
         for primitive, numbers in self.members_of(rows):
-            members = tuple(member[torch.tensor(numbers)] for member in primitive.members)
-            primitives.append(type(primitive)(members, tuple(primitive.data[j] for j in numbers)))
+            primitives.append(primitive.select(numbers))
         vectors = [int(i) for primitive in primitives for member in primitive.members for i in member]
         return replace(
             self,
