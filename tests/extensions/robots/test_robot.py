@@ -189,6 +189,7 @@ def mimicking(attributes: str) -> list[str]:
     return lines
 
 
+@pytest.mark.thorough
 def test_a_joint_that_mimics_another_follows_it(file):
     """As the recursion with three coordinates, whose equations are those of the two that remain: N' M N a = -N' h."""
     path = file(*mimicking('joint="j2" multiplier="-1.5" offset="0.2"'))
@@ -208,6 +209,7 @@ def test_a_joint_that_mimics_another_follows_it(file):
         np.testing.assert_allclose(result, spin, rtol=1e-10, atol=1e-10 * abs(spin).max())
 
 
+@pytest.mark.thorough
 def test_a_follower_of_a_locked_joint_is_fixed(file):
     path = file(*mimicking('joint="j2" multiplier="-1.5" offset="0.2"'))
     system = mbd.read_urdf(path, positions={"j2": 0.4}, locked=["j2"], stop_stiffness=None)

@@ -136,6 +136,40 @@ def test_connections_close_loops_where_the_file_has_its_bodies(file):
     assert [body.name for body in held.bodies] == ["strut"]  # without a second joint it stays
 
 
+# An arm with two fingers that follow each other, and a tip that follows its finger.
+GRIPPER = """<mujoco><option gravity="0.3 0.5 -9.81"><flag contact="disable"/></option><worldbody>
+<body name="arm" pos="0 0 1" euler="10 20 30"><joint name="wrist" axis="0 1 0.2"/>
+ <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03"/>
+ <body name="left" pos=".3 .05 0"><joint name="l" axis="0 0 1" ref="10"/><geom type="box" size=".1 .02 .01" pos=".1 0 0"/>
+  <body name="tip" pos=".2 0 0"><joint name="t" axis="0 0 1"/><geom type="box" size=".05 .02 .01" pos=".05 0 0"/></body></body>
+ <body name="right" pos=".3 -.05 0"><joint name="r" axis="0 0 1"/><geom type="box" size=".1 .02 .015" pos=".1 0 0"/></body>
+ </body>
+</worldbody><equality><joint joint1="r" joint2="l" polycoef="0.02 -1 0 0 0"/>
+<joint joint1="t" joint2="l" polycoef="0 -0.7 0 0 0"/></equality>
+<actuator><motor name="m" joint="l" gear="1"/></actuator></mujoco>"""
+# N (N' M N)^-1 N' f with masses M and forces f of MuJoCo 4.0.0, the columns of N the motions that the equalities leave: its
+# limit of hard equalities. Of each body's origin, and of its angular velocity, as above.
+HARD = {
+    "left": ((-4.40632617192, 0.139347561442, -3.72915877437), (5.20210706348, 18.1138084253, 19.4986681552)),
+    "tip": ((-9.49939457951, 1.77881251977, -4.5231436942), (1.57763683727, 18.7618078974, 8.48527421629)),
+    "right": ((-4.20364958526, 0.377084128664, -3.94067138506), (-4.8388146595, 18.2142209897, -11.9681716703)),
+}
+
+
+@pytest.mark.thorough
+def test_a_gripper_moves_as_the_hard_limit_of_mujoco(file):
+    start = {"positions": {"wrist": 0.4, "l": 0.5}, "velocities": {"wrist": 1.1, "l": -0.8}}
+    system = mbd.read_mjcf(file(GRIPPER), controls={"m": 0.3}, **start)
+    assert system.describe().freedoms == 2
+    motion = mbd.simulate(system, 1e-6, steps=1, gradients="none", backend="eager")
+    for name, (place, spin) in HARD.items():
+        view = motion.body(name)
+        result = view.at((0.0, 0.0, 0.0)).acceleration[0, 0].numpy(), view.omega_rate[0, 0].numpy()
+        np.testing.assert_allclose(result[0], place, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(result[1], spin, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.thorough
 def test_equalities_of_joints(file):
     """Two fingers that slide up and down, the second -2 times as the first, with references and a motor: closed form."""
     text = """<mujoco><option gravity="0 0 -9.81"><flag contact="disable"/></option><worldbody>

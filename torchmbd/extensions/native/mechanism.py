@@ -77,7 +77,7 @@ class Mechanism:
             "C": T.known_bodies,
         }
         sizes |= {"U": T.n_v, "E": _entries(T.spread), "G": _entries(T.gather)}
-        sizes |= {"K": T.turned}
+        sizes |= {"K": T.turn_count}
         sizes |= {f"P{i}": len(p.members[0]) for i, p in enumerate(T.primitives)}
         sizes |= {f"A{i}": len(some) for i, some in enumerate(self.groups.values())}
         sizes |= {"J": 0 if T.beams is None else len(T.beams.ends) // 2}

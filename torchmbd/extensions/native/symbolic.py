@@ -67,7 +67,7 @@ class Kind(NamedTuple):
     flexible: bool
     attached_flexible: bool
     condensed: bool
-    turned: bool
+    turns: bool
     row_flexible: bool
     action_flexible: bool
     beams: bool
@@ -214,9 +214,9 @@ class SymbolicTopology:
         self.attached_flexible = W if kind.attached_flexible else 0
         self.vectors, self.known_bodies, self.prescribed_bodies = V, C, ()
         self.n_rates = 6 * B + self.modes * self.flexible
-        self.turned = K if kind.turned else 0
-        self.n_q = B + self.n_rates + self.turned
-        self.turns = _turns(program) if kind.turned else None
+        self.turn_count = K if kind.turns else 0
+        self.n_q = B + self.n_rates + self.turn_count
+        self.turns = _turns(program) if kind.turns else None
         self.n_v = U if kind.condensed else self.n_rates
         self.vector_body, self.vector_origin = Table("vector_body", V), Table("vector_origin", V)
         self.vector_flexible = Table("vector_flexible", W)

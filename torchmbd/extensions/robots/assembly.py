@@ -124,10 +124,10 @@ class _Builder:
         self.fixed_base = fixed_base
         start = {joint.name: joint.start for joint in robot.joints}
         self.closure_poses = _place(robot.joints, robot.root, start, {})  # the file states closures in this position
-        self.chosen = {"positions": dict(self.q), "velocities": dict(self.rate)}
+        self.requests = {"positions": dict(self.q), "velocities": dict(self.rate)}
         self.q = start | self.q
-        fixed = self._follow(robot, locked)
-        self.robot = replace(robot, joints=[self._locked(j) if j.name in fixed else j for j in robot.joints])
+        immobile = self._follow(robot, locked)
+        self.robot = replace(robot, joints=[self._locked(j) if j.name in immobile else j for j in robot.joints])
         self._drop_empty_links()
         names: dict[str, str] = {}
         for joint in self.robot.joints:
@@ -141,13 +141,13 @@ class _Builder:
 
     def _follow(self, robot: Robot, locked: set[str]) -> set[str]:
         """Set coordinates and rates of joints that mimic others; return the names of joints that cannot move."""
-        joints, fixed, done = {joint.name: joint for joint in robot.joints}, set(locked), set(locked)
+        joints, immobile, visited = {joint.name: joint for joint in robot.joints}, set(locked), set(locked)
 
         def follow(name: str, followers: tuple[str, ...]) -> None:
             mimic = joints[name].mimics
             if name in followers:
                 raise InputError(f"joints {[*followers, name]} mimic each other in a loop. Try: locked={[name]!r}")
-            if mimic is None or name in done:
+            if mimic is None or name in visited:
                 return
             for x in (name, mimic.joint) if mimic.joint else (name,):
                 if x not in joints or joints[x].kind not in MOVING:
@@ -157,26 +157,25 @@ class _Builder:
                     )
             if mimic.joint:
                 follow(mimic.joint, (*followers, name))
-            held = not mimic.joint or mimic.ratio == 0.0 or mimic.joint in fixed
-            fixed.update([name] if held else [])
+            still = not mimic.joint or mimic.ratio == 0.0 or mimic.joint in immobile
+            immobile.update([name] if still else [])
             leader = self.q[mimic.joint] if mimic.joint else 0.0
-            self.q[name] = self._chosen("positions", name, mimic.offset + mimic.ratio * leader, mimic.joint)
-            rate = 0.0 if held else mimic.ratio * self.rate.get(mimic.joint, 0.0)
-            if self._chosen("velocities", name, rate, mimic.joint):
+            self.q[name] = self._consistent("positions", name, mimic.offset + mimic.ratio * leader, mimic.joint)
+            rate = 0.0 if still else mimic.ratio * self.rate.get(mimic.joint, 0.0)
+            if self._consistent("velocities", name, rate, mimic.joint):
                 self.rate[name] = rate
-            done.add(name)
+            visited.add(name)
 
         for name in joints:
             follow(name, ())
-        return fixed
+        return immobile
 
-    def _chosen(self, key: str, name: str, x: float, leader: str) -> float:
+    def _consistent(self, key: str, name: str, x: float, leader: str) -> float:
         """x; InputError where a caller asks for another position or velocity of a joint that mimics another."""
-        value = self.chosen[key].get(name, x)
+        value = self.requests[key].get(name, x)
+        reason = f"it mimics {leader!r}" if leader else "the file holds it"
         if abs(value - x) > 1e-9 * max(1.0, abs(x)):
-            raise InputError(
-                f"{key}[{name!r}] = {value:g}: must be {x:g}, as it mimics {leader!r}. Try: {key} without it"
-            )
+            raise InputError(f"{key}[{name!r}] = {value:g}: must be {x:g}, as {reason}. Try: {key} without it")
         return x
 
     def _locked(self, joint: RobotJoint) -> RobotJoint:

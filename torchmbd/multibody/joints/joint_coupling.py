@@ -107,11 +107,11 @@ class JointCoupling(Joint):
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         order = sorted(range(len(self.coordinates)), key=lambda k: not self.coordinates[k].turns)  # angles come first
-        chosen = [*order, len(order)]
+        labels = [*order, len(order)]  # the sum is last
         factors = Factors(
             self.name,
-            tuple(self._numbers[k] for k in chosen),
-            tuple(self._rows[k] for k in chosen),
+            tuple(self._numbers[k] for k in labels),
+            tuple(self._rows[k] for k in labels),
             self._variables,
         )
         angles = sum(x.turns for x in self.coordinates)

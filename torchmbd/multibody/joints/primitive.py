@@ -74,13 +74,13 @@ class Primitive:
     def select(self, numbers: Sequence[int], position: Mapping[int, int] | None = None) -> Primitive:
         """Some of the primitives; position: of vectors in another order."""
 
-        def chosen(index: Tensor) -> Tensor:
+        def entries(index: Tensor) -> Tensor:
             return index[torch.tensor(numbers, dtype=torch.long)]
 
-        members = tuple(map(chosen, self.members))
+        members = tuple(map(entries, self.members))
         if position is not None:
             members = tuple(torch.tensor([position[i] for i in m.tolist()], dtype=torch.long) for m in members)
-        return type(self)(members, tuple(self.data[j] for j in numbers), tuple(map(chosen, self.turns)))
+        return type(self)(members, tuple(self.data[j] for j in numbers), tuple(map(entries, self.turns)))
 
     def phi(self, vectors, drive=None):
         """Constraint violations [rows, n, ...] of vectors [3, n, ...], numbers or jets."""

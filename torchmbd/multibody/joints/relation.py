@@ -40,11 +40,11 @@ class Factors:
 
     def of(self, data: Mapping[str, Any] | None) -> list[Any]:
         """Each [1, pair, lanes]; without data, design variables have the values of their Parameters."""
-        known: Any = None
+        values: Any = None
         if self.variables is not None:
-            known = self.variables.flat().detach() if data is None else data[law_key(self.name)]
+            values = self.variables.flat().detach() if data is None else data[law_key(self.name)]
         numbers = [torch.full((1, 1, 1), x, dtype=torch.float64) for x in self.numbers]
-        return [x if row is None else known[row : row + 1] for x, row in zip(numbers, self.rows, strict=True)]
+        return [x if row is None else values[row : row + 1] for x, row in zip(numbers, self.rows, strict=True)]
 
 
 class Relation(Primitive):

@@ -158,11 +158,13 @@ def _ground_joints(T: Topology, locks: Collection[str]) -> list[_GroundJoints]:
     candidates = {b: _GroundJoints(b, [], [], [], []) for b in range(T.flexible, T.bodies) if b not in loaded}
     varying = T.varying_vectors  # with these the pose of the body depends on the design
     for primitive, rows in T.row_slices():
+        if primitive.driven and not primitive.prescribes:
+            continue  # a relation between joints
         n = len(primitive.members[0])
         bodies = torch.stack([T.vector_body[m] for m in primitive.members]).T.tolist()
         for j, on in enumerate(bodies):
             moving = {b for b in on if b < T.bodies}
-            if len(moving) != 1 or primitive.angles or (joints := candidates.get(min(moving))) is None:
+            if len(moving) != 1 or (joints := candidates.get(min(moving))) is None:
                 continue
             if varying.intersection(int(m[j]) for m in primitive.members):
                 del candidates[min(moving)]
@@ -248,7 +250,7 @@ def condense(
         if not joints.locks and (constant is None or set(joints.rows + joints.driven).issubset(constant))
     ]
     prescribed_bodies: dict[int, PrescribedBody] = {}
-    counted = (
+    turning = (
         set() if T.turns is None else {*T.turns.first.tolist(), *T.turns.second.tolist()}
     )  # turns are those of unknowns
     poses = _Poses(T)
@@ -259,7 +261,7 @@ def condense(
             continue  # cannot close; InitialConditions raises the error
         free = _null(J[joints.rows][:, poses.columns(joints.body)])
         same_for_all_designs = not any(hasattr(law, "numbers") for law in joints.laws)
-        if same_for_all_designs and free.shape[1] == len(joints.driven) <= 1 and joints.body not in counted:
+        if same_for_all_designs and free.shape[1] == len(joints.driven) <= 1 and joints.body not in turning:
             prescribed_body = _prescribed_body(poses, q, joints, free)
             if prescribed_body is not None:
                 prescribed_bodies[joints.body] = prescribed_body

@@ -72,7 +72,7 @@ def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
         pairs = zip(bodies, T.mode_counts, strict=False)  # flexible bodies are the first
         return [of_modes(f"{b.name}.{name}", getattr(b, name), count, T.modes) for b, count in pairs]
 
-    turns = [torch.zeros(T.turned, dtype=torch.float64)]  # angles are measured from the given positions
+    turns = [torch.zeros(T.turn_count, dtype=torch.float64)]  # angles are measured from the given positions
     q = rows([b.position for b in bodies], [euler_parameters(b.axes) for b in bodies], modal("modal"), turns)
     v = rows([b.velocity for b in bodies], [b.angular_velocity for b in bodies], modal("modal_velocity"))
     return {"q0": q, "v0": v}

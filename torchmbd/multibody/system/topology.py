@@ -134,10 +134,10 @@ class Topology:
 
     @property
     def n_q(self) -> int:
-        return 7 * self.bodies + self.modes * self.flexible + self.turned
+        return 7 * self.bodies + self.modes * self.flexible + self.turn_count
 
     @property
-    def turned(self) -> int:
+    def turn_count(self) -> int:
         """Number of counted angles."""
         return 0 if self.turns is None else len(self.turns)
 
