@@ -71,6 +71,31 @@ def test_compliance_does_not_depend_on_the_number_of_elements(elements):
     assert turned == pytest.approx(integral / 1e6, rel=1e-4)
 
 
+@pytest.mark.parametrize("elements", [1, 2, 4, 8])
+@pytest.mark.parametrize("place", [0.03, 0.11, 0.3, 0.5, 0.77])
+def test_a_soft_spot_bends_where_it_lies(elements, place):
+    """Deflection and turn of the tip under forces there: integrals of moments by compliances, wherever nodes are."""
+    bending, shear, twist, length = np.array([1e6, 4e5]), np.array([1e7, 2e7]), 0.4, 2.0
+    spots, soft = [place - 0.012, place - 0.0115, place + 0.0115, place + 0.012], 0.01
+    at, factors = [0.0, *spots, 1.0], [1.0, 1.0, soft, soft, 1.0, 1.0]
+    sections = [(matrix(1e8, *shear, 1e5, *bending) * c, PLANE) for c in factors]
+    line = mbd.BeamLine.straight(length, elements)
+    beam = mbd.ExactBeam("beam", line, mbd.SectionTable(at, sections), twist=twist)
+    force = np.array([0.3, -0.7])  # along y and z
+    state = beam.equilibrium({"end": (0.0, *force)})
+    s = np.linspace(0.0, 1.0, 2_000_001)
+    softness = 1.0 / np.interp(s, at, factors)
+    total, moment, second = (float(np.trapezoid(softness * (length * (1.0 - s)) ** k, length * s)) for k in range(3))
+    turned = np.array([[np.cos(twist), -np.sin(twist)], [np.sin(twist), np.cos(twist)]])
+    across = np.array([[0.0, 1.0], [-1.0, 0.0]])  # an arm times a force along y or z turns the beam about z or -y
+    by_moment = across @ turned @ np.diag(1.0 / bending) @ turned.T @ across.T
+    by_force = turned @ np.diag(1.0 / shear) @ turned.T
+    tip = (second * by_moment + total * by_force) @ force
+    assert state.nodes[-1, 1:].numpy() == pytest.approx(tip, rel=1e-4)
+    slope = moment * by_moment @ force  # of the displacements along y and z
+    assert state.rotations[-1, 1:, 0].numpy() == pytest.approx(slope, rel=1e-4)
+
+
 @pytest.mark.thorough
 def test_a_tapered_twisted_coupled_beam_is_that_of_the_differential_equation():
     K = coupled()

@@ -2,10 +2,13 @@
 
 Stiffness and mass of a table are integrated over every piece between two positions of the table and two ends of elements:
 
-    compliance   int (W S W')^-1 ds                    over an element
+    compliance   int J' (W S W')^-1 J ds               over an element, J: from forces about its middle to those at s
     mass         int m ds, int s m ds, int s^2 m ds    over half an element, s from its node
 
 So nothing between two nodes is lost, however few the elements: the mass is exact, the compliance to the order of Gauss's rule.
+A soft piece bends under the moment where it lies, wherever that is in its element. A section that is the same along an element
+has J = 1: the element's strain is constant (MacNeal's residual bending flexibility, int (J' C J - C) ds, is left out).
+Source: MacNeal, A simple quadrilateral shell element, Comput. Struct. 8 (1978) 175-183.
 Checked in tests/fem/exact_beam/test_section_table.py.
 """
 
@@ -188,7 +191,11 @@ def element_properties(
     # Forces of the section about the line, in the section's axes.
     force_map = block(_turn(at)).mT @ line_transform(offset[rule.span], at)
     stiffness = force_map @ sections.stiffness(rule) @ force_map.mT
-    compliance = rule.sum(rule.weight[..., None, None] * balanced_inverse(stiffness), m)
+    softness = balanced_inverse(stiffness)
+    if sections.tapered:
+        arm = _arm((rule.t - 0.5) * matrices.length[..., rule.span, None])
+        softness = arm.mT @ softness @ arm
+    compliance = rule.sum(rule.weight[..., None, None] * softness, m)
     turn = _turn(ends)
     axes = matrices.frames(_ENDS).mT @ turn
     first, second = axes.unbind(-3)
@@ -209,6 +216,13 @@ def _turn(twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 3 3"]:
     """Axes of sections that are twisted [rad], in the axes of the beam, columns."""
     c, s, o = torch.cos(twist), torch.sin(twist), torch.zeros_like(twist)
     return torch.stack([o + 1.0, o, o, o, c, -s, o, s, c], -1).unflatten(-1, (3, 3))
+
+
+def _arm(x: Float[Tensor, "*n"]) -> Float[Tensor, "*n 6 6"]:
+    """Return the map from force and moment about a point to those about one that is x [m] farther along the beam."""
+    lever = torch.zeros(6, 6, dtype=torch.float64)
+    lever[4, 2], lever[5, 1] = 1.0, -1.0
+    return torch.eye(6, dtype=torch.float64) + x[..., None, None] * lever
 
 
 def block(A: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 6 6"]:
