@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 import torch
@@ -19,13 +19,14 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import finished, pendulum
-from torchmbd.integrate import METHODS, Trajectory
+from torchmbd.integrate import METHODS, Trajectory, adjoint_solver
 from torchmbd.integrate.initial_value import OneSegment
 from torchmbd.integrate.ode import ADAPTIVE, FIXED
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
 from torchmbd.integrate.retries import integrate_lanes
 from torchmbd.integrate.step import Weights
+from torchmbd.integrate.stepper import resume
 from torchmbd.math.elementwise import reciprocal
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -327,3 +328,52 @@ def test_hht_and_generalized_alpha_meet(system, designs):
     )
     for name in ("q", "v", "a", "lam"):
         assert_close(getattr(hht, name), getattr(alpha, name), rtol=1e-9, atol=1e-9)
+
+
+class _Again(NamedTuple):
+    """Steps that the adjoint made again: the point of the grid at their start, and positions [times, n_q, 1, lanes]."""
+
+    first: int
+    q: torch.Tensor
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("method", WITH_ADJOINT)
+def test_the_adjoint_makes_the_steps_that_were_made(method, monkeypatch):
+    """Through phases and checkpoints: the same states, though two corrections leave much, and so the same slopes.
+
+    Lanes pass the event in different intervals of the grid. Matrices last for 3 steps, checkpoints for 7.
+    """
+    again: list[_Again] = []
+
+    def resumed(stepper, x, schedule, number, restarts=()):
+        last, states = resume(stepper, x, schedule, number, restarts)
+        again.append(_Again(number, states.q))
+        return last, states
+
+    monkeypatch.setattr(adjoint_solver, "resume", resumed)
+    rod = mbd.RigidBody("rod", mbd.variable(1.0), (0.1, 0.08, 0.02), position=(0.5, 0, 0))
+    arm = mbd.RigidBody("arm", 0.5, (0.02, 0.03, 0.01), position=(1.2, 0.1, 0))
+    joints = [
+        mbd.Spherical(mbd.Ground().at(), rod.at(-0.5, 0, 0)),
+        mbd.Revolute(rod.at(0.5, 0, 0), arm.at(-0.2, -0.1, 0), axis="y", name="elbow"),
+    ]
+    system = mbd.System([rod, arm], joints, gravity=(0.3, 0.1, -9.81))
+    phases = [mbd.Phase(until=mbd.Event(mbd.Position("rod", "z") + 0.25)), mbd.Phase(lock=["elbow"])]
+    slopes = []
+    for way in ("forward", "reverse"):
+        mass = torch.tensor([1.0, 0.1], dtype=torch.float64, requires_grad=True)
+        options = {"iterations": (2, 8), "refresh": 3, "halvings": 0, "checkpoint": 7, "backend": "eager"}
+        designs, steps = {"rod.mass": mass}, {"gradients": way, "phases": phases, "steps": 42}
+        motion = finished(mbd.simulate(system, 0.5, method, designs=designs, **steps, **options))
+        x = numbers_of(motion)
+        (x * torch.sin(torch.arange(x.shape[1], dtype=x.dtype))).sum().backward()
+        slopes.append(mass.grad)
+    passed = [int(t / 0.5 * 42) for t in motion.switches[0].t.tolist()]
+    assert passed[0] // 7 != passed[1] // 7
+    assert {part.first % 7 for part in again} > {0}  # also from the first point after the switch
+    for part in again:  # of one lane
+        states = part.q[-part.first % 7 :: 7, :, 0, 0]  # at the times that are kept
+        recorded = motion.q.detach()[:, -(-part.first // 7) :][:, : len(states)]
+        assert not len(states) or float((states - recorded).abs().amax((1, 2)).min()) < 1e-15
+    assert_close(slopes[1], slopes[0], rtol=1e-8, atol=0)
