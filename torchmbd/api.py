@@ -55,7 +55,7 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
+from torchmbd.integrate import Equilibrium, Event, Phase, Simulation, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -237,6 +237,7 @@ __all__ = [
     "Scenarios",
     "SectionHistory",
     "SectionTable",
+    "Simulation",
     "SimulationFailure",
     "Sine",
     "SmoothMax",

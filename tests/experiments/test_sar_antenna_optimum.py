@@ -22,7 +22,7 @@ def short(monkeypatch):
 
 def coarse(*angles):
     p = problem(20, *angles, modes=2)
-    p.simulation |= {"iterations": (5, 2)}
+    p.simulation = p.simulation.with_arguments(iterations=(5, 2))
     return p
 
 

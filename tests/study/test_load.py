@@ -75,7 +75,7 @@ def test_motions_start_where_the_file_says(write):
     start = {"rod.modal": [1e-4] * load(write()).system.body("rod").modes}
     result = load(write(simulate=simulate | {"start": start})).simulated
     assert result.motion(result.start).body("rod").w[0, 0].tolist() == pytest.approx(start["rod.modal"])
-    assert load(write(simulate=simulate | {"start": "equilibrium"})).simulated.simulation["start"] == "equilibrium"
+    assert load(write(simulate=simulate | {"start": "equilibrium"})).simulated.simulation.start == "equilibrium"
     assert load(write(simulate=simulate)).resolved()["simulate"]["start"] == "assembled"
     for wrong, words in (("equilibriun", "equilibrium"), ({"rod.mode": [0.0]}, "rod.modal")):
         [fault] = faults(write(simulate=simulate | {"start": wrong}))
@@ -113,7 +113,7 @@ def test_phases_come_from_a_function(write):
     simulate = {"duration": 0.01, "steps": 60}
     plans = [load(write(simulate=simulate | more)) for more in ({}, {"phases": "rod_model.py:in_two"})]
     whole, halved = (plan.simulated for plan in plans)
-    assert [phase.until for phase in halved.simulation["phases"]] == [0.004, None]
+    assert [phase.until for phase in halved.simulation.phases] == [0.004, None]
     values = [p.evaluate(p.start[None], gradients=False)[0].objective for p in (whole, halved)]
     assert values[0] == pytest.approx(values[1], rel=1e-4)
     assert "phases" in load(write(simulate=simulate | {"phases": "rod_model.py:in_two"})).resolved()["simulate"]

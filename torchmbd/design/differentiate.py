@@ -23,7 +23,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.forward_integration import ForwardIntegration
-from torchmbd.integrate.simulate import trajectory_of
+from torchmbd.integrate.integrated_trajectory import trajectory_of
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.pull_back import pull_back
 

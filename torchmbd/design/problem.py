@@ -43,12 +43,11 @@ from torchmbd.design.space import DesignSpace
 from torchmbd.design.words import names_of_rows
 from torchmbd.errors import InputError, SimulationFailure, argument_names, checked_signature
 from torchmbd.fem.reduction import CutCluster
-from torchmbd.integrate import Phase, Trajectory, simulate
-from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator, start_of
+from torchmbd.integrate import Phase, Simulation, Trajectory
+from torchmbd.integrate.arguments import check_gradients
 from torchmbd.integrate.backend import likely_backend
 from torchmbd.integrate.memory import lanes_at_once, require_memory
 from torchmbd.integrate.registry import DEFAULT
-from torchmbd.integrate.segment import segments_of, switching
 from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.multibody.system import System
@@ -121,17 +120,23 @@ class Problem(Summary):
         tolerance: float | None = problem_steps.TOLERANCE,
         **options: Any,
     ):
-        if not isinstance(system, System):
-            raise InputError(f"system is {system!r}; allowed: a System")
         subject_to = constraints_of(subject_to)
         if isinstance(start, str):
             start, motion_start = None, start
-        start_of(system, motion_start)
-        phases = switching(phases)
-        integrator = checked_integrator(duration, method, steps, options, argument_names(Problem))
+        self.simulation = Simulation.of_caller(
+            argument_names(Problem),
+            system,
+            duration.detach() if isinstance(duration, Tensor) else duration,
+            method=method,
+            steps=steps,
+            phases=phases,
+            backend=backend,
+            start=motion_start,
+            **options,
+        )
+        integrator = self.simulation.integrator
         self.stated_objective, self.sign = stated_objective(minimize, maximize)
         minimize = self.stated_objective if self.sign > 0.0 else -self.stated_objective
-        segments_of(system, (Phase(),) if phases is None else phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
             measure.check(system)
             require_duration(measure, duration)
@@ -142,13 +147,10 @@ class Problem(Summary):
         self.constraints = subject_to
         self.tolerance, self.chooses_steps = problem_steps.checked_tolerance(tolerance), steps is None
         self.space = DesignSpace(system, variables, bounds, start, links)
-        self.simulation = {"method": method, "steps": steps, "phases": phases, "backend": backend, **options}
-        self.simulation |= {} if motion_start == "assembled" else {"start": motion_start}
         # Rows of a min-max objective, 0 for an objective of one number; they come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
         check_gradients(gradients, integrator)
-        check_backend(backend)
         self._tangents = len(self.space.entries)
         counts = self._tangents, self._count
         cheaper = cheaper_mode(*counts, likely_backend(backend)) if integrator.adjoint else "forward"
@@ -167,7 +169,13 @@ class Problem(Summary):
         Bounds are among them where the unit of the extra variable of a min-max problem comes from them.
         """
         space, responses = self.space, [self.objective, *self.constraints]
-        motion = [self.system, self.simulation, self.duration, self.gradients, self.chooses_steps and self.tolerance]
+        motion = [
+            self.system,
+            self.simulation.settings,
+            self.duration,
+            self.gradients,
+            self.chooses_steps and self.tolerance,
+        ]
         unit_of_rows = [space.lower, space.upper, tuple(map(float, self._bound))] if self.peaks else []
         return [*motion, responses, space.links, space.offset, space.variables, space.start, *unit_of_rows]
 
@@ -184,7 +192,7 @@ class Problem(Summary):
             ("variables", few(start)),
             (
                 "motion",
-                f"{self.duration:g} s, {self.simulation['method']}, steps {self.simulation['steps'] or 'by default'}",
+                f"{self.duration:g} s, {self.simulation.method}, steps {self.simulation.steps or 'by default'}",
             ),
             ("gradients", self.gradients),
         ]
@@ -256,16 +264,15 @@ class Problem(Summary):
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
         """Motions of designs [lanes, n], differentiable by all design variables if `gradients`."""
         n = len(self.space.names)  # X may have the extra variable, which changes no motion
-        return self._motion(self.system, self.space.designs(self._checked(X, n, len(self.names))[:, :n]), gradients)
+        return self._motion(self.simulation, self.space.designs(self._checked(X, n, len(self.names))[:, :n]), gradients)
 
-    def _motion(self, system: System, designs: dict[str, Tensor], gradients: bool) -> Trajectory:
-        options: dict[str, Any] = {**self.simulation, "steps": self.steps, "variables": self.space.variables}
+    def _motion(self, simulation: Simulation, designs: dict[str, Tensor], gradients: bool) -> Trajectory:
         mode = self.gradients if gradients else "none"
-        return simulate(system, self.duration, designs=designs, gradients=mode, **options)
+        return simulation.with_steps(self.steps)(designs, mode, self.space.variables)
 
-    def cases(self, X: np.ndarray) -> list[tuple[System, dict[str, Tensor]]]:
-        """The systems that simulate designs [lanes, n], each with the parameters [lanes, ...] of its batch."""
-        return [(self.system, self.space.designs(X[:, : len(self.space.names)]))]
+    def cases(self, X: np.ndarray) -> list[tuple[Simulation, dict[str, Tensor]]]:
+        """The simulations of designs [lanes, n], one for each system, with the parameters [lanes, ...] of their batches."""
+        return [(self.simulation, self.space.designs(X[:, : len(self.space.names)]))]
 
     def motion(self, x: np.ndarray) -> Trajectory:
         """Motion of one design [n]."""

@@ -27,7 +27,7 @@ import torch
 
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError, SimulationFailure, warn
-from torchmbd.integrate import Trajectory, simulate
+from torchmbd.integrate import Trajectory
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.step_count import rounding
 from torchmbd.math.checked_numbers import is_real
@@ -90,8 +90,8 @@ def problem_steps(problem: Any) -> int | None:
     All designs have the same: a criterion that changes its number of steps with the design is not smooth. None: the initial
     design cannot be simulated, and each batch chooses.
     """
-    if problem.simulation["steps"]:
-        return problem.simulation["steps"]
+    if problem.simulation.steps:
+        return problem.simulation.steps
     with stage("choosing the steps for the start design"):
         choice = steps_for(problem, problem.start)
     if not math.isnan(choice.error) and not choice.meets(problem.tolerance):
@@ -172,7 +172,7 @@ def with_steps(problem: Any, steps: int) -> Any:
     other = copy.copy(problem)
     for name in ("reference", "steps", "coarse"):
         other.__dict__.pop(name, None)
-    other.simulation = {**problem.simulation, "steps": steps}
+    other.simulation = problem.simulation.with_steps(steps)
     _known[other] = _known.setdefault(problem, {})  # the errors of motions by given numbers of steps
     return other
 
@@ -219,10 +219,9 @@ _known: WeakKeyDictionary[Any, dict[tuple, _Errors]] = WeakKeyDictionary()  # of
 def _motions(problem: Any, x: np.ndarray, steps: int | None) -> list[Trajectory]:
     """Motions of a design [n] without gradients, one for each system, by equal steps; none where one has no steps or fails."""
     motions = []
-    for system, designs in problem.cases(np.asarray(x)[None]):
-        options = {**problem.simulation, "steps": steps}
+    for simulation, designs in problem.cases(np.asarray(x)[None]):
         try:
-            motion = simulate(system, problem.duration, designs=designs, gradients="none", **options)
+            motion = simulation.with_steps(steps)(designs, gradients="none")
         except (InputError, SimulationFailure):
             return []
         if motion.integration.steps is None or any(status != OK for status in motion.status):
@@ -237,7 +236,7 @@ def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least
     if not motions:
         return _Errors(StepChoice(steps, math.inf, "every response", "the motion fails"), None)
     steps = motions[0].integration.steps
-    if any(not isinstance(motion.simulation.integrator, OneStep) for motion in motions):
+    if any(not isinstance(motion.repetition.integrator, OneStep) for motion in motions):
         return _Errors(StepChoice(steps), None)
     measures = [(problem.objective, None), *((c.measure, c.limit) for c in problem.constraints)]
     worst = StepChoice(steps, 0.0, "all responses")
@@ -247,7 +246,7 @@ def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least
             share, reason = _share(motion, measure.at_start(motions[0]), least, enough)
             if (bool(reason), share) > (bool(worst.reason), worst.error):
                 worst = StepChoice(steps, share, repr(measure), reason)
-    each = [rounding(m.simulation.integrator, m.integration.dynamics, problem.duration)(1) for m in motions]
+    each = [rounding(m.repetition.integrator, m.integration.dynamics, problem.duration)(1) for m in motions]
     objective = problem.objective.at_start(motions[0])
     size = max(float(objective.size(motion).max()) for motion in motions)
     return _Errors(worst, math.lcm(*each), size if math.isfinite(size) else 0.0)

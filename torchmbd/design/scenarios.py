@@ -32,9 +32,7 @@ from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.scenario_settings import SYSTEM, combined, normalized_weights, scenarios_by_name, settings_of
 from torchmbd.errors import InputError, SimulationFailure, checked_signature, unknown
 from torchmbd.fem.reduction import CutCluster
-from torchmbd.integrate import Trajectory
-from torchmbd.integrate.arguments import start_of
-from torchmbd.integrate.segment import segments_of
+from torchmbd.integrate import Simulation, Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
 
@@ -44,11 +42,12 @@ OBJECTIVES, CONSTRAINTS = ("worst", "mean"), ("each", "worst", "mean")
 class Group(NamedTuple):
     """Scenarios of one system, which are simulated as one batch.
 
-    indices   of these scenarios in the order of all scenarios
-    settings  name of a scenario -> parameter -> value; all scenarios of the group have the same parameters
+    simulation  of the system
+    indices     of these scenarios in the order of all scenarios
+    settings    name of a scenario -> parameter -> value; all scenarios of the group have the same parameters
     """
 
-    system: System
+    simulation: Simulation
     indices: list[int]
     settings: dict[str, dict[str, Tensor]]
 
@@ -139,7 +138,7 @@ class Scenarios(Problem):
         return [self._group(system, scenarios) for system in systems]
 
     def _check_system(self, scenario: str, system: Any) -> None:
-        """InputError unless the system of a scenario has the design variables, and what responses, start and phases need."""
+        """InputError unless the system of a scenario has the design variables, and what responses need."""
         if not isinstance(system, System):
             raise InputError(f"system of scenario {scenario!r} is {system!r}; allowed: a System")
         shapes = {name: x.shape for name, x in system.named_parameters()}
@@ -150,9 +149,6 @@ class Scenarios(Problem):
                     f"system of scenario {scenario!r} has {has}: {name!r}; allowed: all design variables, {name!r} of "
                     f"shape {list(shape)}"
                 )
-        start_of(system, self.simulation.get("start", "assembled"))
-        if self.simulation["phases"] is not None:
-            segments_of(system, self.simulation["phases"], self.duration)
         for measure in (self.objective, *(constraint.measure for constraint in self.constraints)):
             measure.check(system)
 
@@ -164,11 +160,13 @@ class Scenarios(Problem):
         names = list(dict.fromkeys(name for settings in values.values() for name in settings))
         default = {name: parameters[name].detach() for name in names}
         values = {key: default | settings for key, settings in values.items()}
-        return Group(system, [k for k, key in enumerate(scenarios) if key in of_system], values)
+        simulation = self.simulation if system is self.system else self.simulation.with_arguments(system=system)
+        return Group(simulation, [k for k, key in enumerate(scenarios) if key in of_system], values)
 
     def settings(self) -> list[Any]:
         rules = [self._objective_rule, self._constraint_rule, self.weights]
-        return [*super().settings(), *[list(group) for group in self.groups], *rules]
+        groups = [[group.simulation.system, group.indices, group.settings] for group in self.groups]
+        return [*super().settings(), *groups, *rules]
 
     @property
     def simulations(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -220,7 +218,7 @@ class Scenarios(Problem):
         if name not in self.scenarios:
             raise unknown("scenario", name, self.scenarios)
         group = next(group for group in self.groups if name in group.settings)
-        return self._motion(group.system, self._designs(X, [group.settings[name]]), gradients)
+        return self._motion(group.simulation, self._designs(X, [group.settings[name]]), gradients)
 
     def motions(self, x: np.ndarray) -> Trajectory:
         """Motions of one design [n], a lane for each scenario; InputError where they have several systems."""
@@ -237,12 +235,12 @@ class Scenarios(Problem):
     def _motions(self, X: np.ndarray, gradients: bool) -> list[Trajectory]:
         X = self._checked(X, len(self.space.names), len(self.names))
         try:
-            return [self._motion(system, designs, gradients) for system, designs in self.cases(X)]
+            return [self._motion(simulation, designs, gradients) for simulation, designs in self.cases(X)]
         except CutCluster as error:  # its lanes count scenarios, so they are no indices of designs
             raise InputError(str(error)) from error
 
-    def cases(self, X: np.ndarray) -> list[tuple[System, dict[str, Tensor]]]:
-        return [(group.system, self._designs(X, list(group.settings.values()))) for group in self.groups]
+    def cases(self, X: np.ndarray) -> list[tuple[Simulation, dict[str, Tensor]]]:
+        return [(group.simulation, self._designs(X, list(group.settings.values()))) for group in self.groups]
 
     def _designs(self, X: np.ndarray, settings: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
         """Parameters of designs [lanes, n], each in all scenarios of some settings [lanes * scenarios, ...]."""
@@ -300,7 +298,7 @@ class Scenarios(Problem):
         for group in self.groups:
             for name, settings in group.settings.items():
                 try:
-                    self._motion(group.system, self._designs(X, [settings]), gradients)
+                    self._motion(group.simulation, self._designs(X, [settings]), gradients)
                 except (InputError, SimulationFailure) as refusal:
                     return f"failed: scenario {name!r}: {refusal}"
         return f"failed: {error}"

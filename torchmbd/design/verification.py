@@ -126,7 +126,9 @@ def verification(
         return Verification((), math.nan, math.nan, (str(error),), "see the how-to page on errors of responses")
     notes = [f"{words(response.measure)}: {response.error.note}" for response in responses if response.error.note]
     notes += dict.fromkeys(text for response in responses for text in response.error.unknown)
-    notes += dict.fromkeys(text for system, _ in simulated.cases(x[None]) for text in notes_of_loads(system))
+    notes += dict.fromkeys(
+        text for simulation, _ in simulated.cases(x[None]) for text in notes_of_loads(simulation.system)
+    )
     if robust:
         text = "the change of the objective is that of its {} over the tolerances, with the errors of the nominal design; {}"
         notes.append(text.format(_RULES[problem.kind], "the other values and errors are those of the nominal design"))
@@ -381,7 +383,7 @@ def advice(problem: Problem, need: float, causes: Collection[str] = ()) -> str:
     if more:
         return ", ".join([*more, advice(problem, need)])
     steps = problem.steps
-    if steps is None or problem.simulation["method"] in ADAPTIVE:
+    if steps is None or problem.simulation.method in ADAPTIVE:
         return "tighter tolerances of the method (rtol, atol)"
     more = math.sqrt(max(need, 4.0) if math.isfinite(need) else _UNRESOLVED) * steps
     digit = 10 ** max(len(str(int(more))) - 2, 0)

@@ -23,7 +23,7 @@ from torch import Tensor
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError, checked_signature, unknown
-from torchmbd.integrate import Trajectory, simulate
+from torchmbd.integrate import Simulation, Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
 
@@ -78,6 +78,7 @@ def openmdao_component(
     names = list(variables) if variables else [name for name, x in parameters.items() if x.requires_grad]
     if not names:
         raise InputError("the system has no parameter that requires a gradient; allowed: at least one variable")
+    simulation = Simulation(system, duration, **options)
 
     class Motion(om.ExplicitComponent):
         """Inputs: parameters of the system; outputs: responses of its motion."""
@@ -126,7 +127,7 @@ def openmdao_component(
         def motion(self, design: Mapping[str, Tensor], gradients: str) -> Trajectory:
             """The motion of one design; AnalysisError if it fails."""
             designs = {name: x[None] for name, x in design.items()}
-            motion = simulate(system, duration, designs=designs, variables=names, gradients=gradients, **options)
+            motion = simulation(designs, gradients, names)
             [status] = motion.status
             if status != OK:
                 raise om.AnalysisError(f"{self.pathname or 'motion'}: {status}")

@@ -5,7 +5,19 @@ from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.registry import METHODS
 from torchmbd.integrate.simulate import simulate
+from torchmbd.integrate.simulation import Simulation
 from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.trajectory import Trajectory
 
-__all__ = ["METHODS", "Equilibrium", "Event", "Moment", "Phase", "Switch", "Trajectory", "equilibrium", "simulate"]
+__all__ = [
+    "METHODS",
+    "Equilibrium",
+    "Event",
+    "Moment",
+    "Phase",
+    "Simulation",
+    "Switch",
+    "Trajectory",
+    "equilibrium",
+    "simulate",
+]

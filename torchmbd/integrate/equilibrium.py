@@ -20,10 +20,11 @@ from torch import Tensor
 
 from torchmbd.errors import DesignFailure, InputError, checked_signature, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
+from torchmbd.integrate.integrated_trajectory import plain, trajectory_of
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.pullback import leaf
-from torchmbd.integrate.simulate import lanes_of_batch, plain, trajectory_of, variable_names
+from torchmbd.integrate.variables import lanes_of_batch, variable_names
 from torchmbd.math.checked_numbers import reals
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.pair import Pair, value

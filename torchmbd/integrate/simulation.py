@@ -1,177 +1,320 @@
-"""How a motion was simulated, to simulate it again with other steps, more modes, or finer meshes.
+"""A simulation: a system with its duration, method, phases and start, checked and prepared once, called with designs.
 
-The start for a system of other modes has the same displacements and rates of its flexible bodies:
+    parameters --structure stage--> data --Motion--> q, v, a, lam --torch--> responses
 
-    Psi' w' = Psi w      w, w'   modal coordinates of the modes Psi and of more modes Psi', whose span contains that of Psi;
-                                 least squares over the same nodes where they are modes on a finer mesh
+A preparation has the start, the system that begins there with its topology and saddle point, the integrator with the defaults
+of this system, and the segments of the phases (segment.py). A call checks the designs and integrates.
 
-Checked in tests/design/test_response_errors.py, tests/design/test_errors_of_motions.py.
+Numbers count as they are at the call: parameters and constants of the system, and tensors of `start`. Where the topology of the
+system was made anew since the preparation, as `System` does for other constant positions, axes or rates of bodies and after
+`load_state_dict`, or where `stabilization` is another, the next call prepares anew.
+Checked in tests/integrate/test_simulation.py, tests/integrate/test_simulate.py.
 """
 
 from __future__ import annotations
 
-import math
-import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+import copy
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, argument_names, checked_signature
+from torchmbd.integrate.arguments import (
+    check_backend,
+    check_gradients,
+    check_phase_times,
+    check_start,
+    checked_designs,
+    checked_integrator,
+    duration_is_differentiated,
+    refuse_dual_level,
+    seconds_of,
+    start_of,
+)
+from torchmbd.integrate.forward_integration import ForwardIntegration
+from torchmbd.integrate.integrated_trajectory import at_moving_times, plain, trajectory_of
 from torchmbd.integrate.integrator import Integrator
-from torchmbd.integrate.ode import ADAPTIVE
+from torchmbd.integrate.jumps import warn_of_jumps
+from torchmbd.integrate.memory import require_memory
+from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.torchdiffeq_method import Torchdiffeq
-from torchmbd.math.rotation import rotation_matrix
-from torchmbd.multibody.bodies.frame import MODAL
-from torchmbd.multibody.system import System
-from torchmbd.multibody.system.richer import finer_mesh_system, richer_system
-from torchmbd.results.mode_shapes import DesignShapes
-from torchmbd.results.motion_data import MotionData
+from torchmbd.integrate.phase import Phase
+from torchmbd.integrate.registry import DEFAULT, integrator_of
+from torchmbd.integrate.repetition import Repetition
+from torchmbd.integrate.reverse_integration import ReverseIntegration
+from torchmbd.integrate.segment import DURATION, segments_of, switching, times_of
+from torchmbd.integrate.step_count import FEWEST, rounding
+from torchmbd.integrate.variables import entry_labels, lanes_of_batch, refuse_other_designs, variable_names
+from torchmbd.math.gradients import is_differentiated
+from torchmbd.math.module_call import exclusive, outside_transforms
+from torchmbd.multibody.system import Start, System
+from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.system.truncation import warn_static_truncation
+from torchmbd.progress import motion_shown
+from torchmbd.results.elastic_limits import name_causes, warn_of_displacements, warn_of_loads, warn_of_spin
+from torchmbd.results.singular_positions import report_singular_positions
+from torchmbd.results.trajectory import Trajectory
+from torchmbd.summary import Summary
 
-_TIGHTER = 0.01  # tolerances of adaptive methods, for each halving of the output intervals
-# Times the steps: oscillations with 1 to 6 periods in a step are seen there as such of at least 0.13 periods in a step.
-FINER = 2.3
-_LEAST_RTOL = 1e-13  # rounding is above it
 
+class _Preparation(NamedTuple):
+    """Parts of a simulation that follow from the topology of its system.
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Simulation:
-    """The arguments of `simulate` for one motion.
-
-    steps      of the motion, also where they were chosen
-    multiple   of which any number of steps is one, as held control histories and checkpoints demand
-    parameters values that the system had
+    topology, stabilization   of the system when it was prepared
+    system                    the same with the start of the motions
     """
 
-    simulate: Callable[..., Any]
+    topology: Topology
+    stabilization: float
+    start: Start
     system: System
     integrator: Integrator
-    steps: int
-    multiple: int
-    arguments: Mapping[str, Any]
-    options: Mapping[str, Any]
-    parameters: Mapping[str, Tensor]
+
+
+@checked_signature
+class Simulation(Summary):
+    """The motions of a system over a duration, for any designs: made and checked once, called often.
+
+    system, duration, method, steps, phases, backend, start, options   as of `simulate`
+
+    `simulation(designs, gradients, variables, progress)` returns a Trajectory; its arguments are those of `simulate` as well.
+    `simulate(...)` is `Simulation(...)(...)`, with the same numbers.
+
+    A call uses the numbers that parameters, constants and tensors of `start` have then. Where constant positions, axes or rates
+    of bodies have changed, or a state dict was loaded, the call prepares the simulation anew. Bodies, joints and forces of a
+    System do not change: other ones are another System, and another Simulation.
+    Raises InputError for bad arguments.
+
+    >>> simulation = mbd.Simulation(mbd.examples.arm(), duration=0.1, steps=40)
+    >>> simulation().q.shape  # lanes, times, coordinates
+    torch.Size([1, 41, 16])
+    >>> designs = {"arm.laminate.angles": mbd.deg([[0.0, 90.0], [45.0, -45.0]])}
+    >>> simulation(designs, gradients="none").status  # two designs at once
+    ['ok', 'ok']
+    """
+
+    def __init__(
+        self,
+        system: System,
+        duration: float | Tensor,
+        method: str = DEFAULT,
+        steps: int | None = None,
+        phases: Sequence[Phase] | None = None,
+        backend: str = "auto",
+        start: str | Mapping[str, Any] | Trajectory = "assembled",
+        **options: Any,
+    ):
+        if not isinstance(system, System):
+            raise InputError(f"system is {system!r}; allowed: a System")
+        phases = switching(phases)
+        self._integrator = checked_integrator(duration, method, steps, options, argument_names(Simulation))
+        check_backend(backend)
+        self.system, self.duration, self.method, self.backend = system, duration, method, backend
+        self.steps = None if steps is None else int(steps)
+        self.phases = tuple(phases) if isinstance(phases, (list, tuple)) else phases
+        self.start = dict(start) if isinstance(start, Mapping) else start
+        self.options = options
+        self._known: _Preparation | None = None
+        self._prepared()
+
+    @classmethod
+    def of_caller(cls, names: Collection[str], system: System, duration: float | Tensor, **arguments: Any) -> Self:
+        """The simulation that a function with arguments of these `names` makes: a message about an option names the nearest."""
+        options = {name: x for name, x in arguments.items() if name not in argument_names(cls)}
+        integrator_of(arguments.get("method", DEFAULT), options, names)
+        return cls(system, duration, **arguments)
 
     @property
-    def order(self) -> int | None:
-        """Order of the method; None: adaptive. InputError for a method without an estimate."""
-        if isinstance(self.integrator, OneStep):
-            return 2
-        if self.integrator.name in ADAPTIVE:
-            return None
-        raise InputError(
-            f"errors by steps of method {self.integrator.name!r}; allowed: generalized_alpha, hht_alpha, or an "
-            f"adaptive method ({', '.join(sorted(ADAPTIVE))})"
-        )
+    def seconds(self) -> float:
+        """The duration as a number [s]."""
+        return float(seconds_of(self.duration))  # a float of NumPy may be one of single precision
 
-    def finer(self, factor: int) -> Any:
-        """The motion with `factor` (2 or 4) times the steps and a few more, values only.
+    @property
+    def integrator(self) -> Integrator:
+        """The integrator, with the defaults of the system."""
+        return self._prepared().integrator
 
-        Its number of steps shares no factor with that of the motion, but for `multiple`: a load whose period divides a step of
-        the motion, which shows one value of it, does not divide these. For a factor of 2 they are FINER times as many.
-        Adaptive methods have tighter tolerances instead.
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All arguments but system and duration, without a start that is the default."""
+        settings = {"method": self.method, "steps": self.steps, "phases": self.phases, "backend": self.backend}
+        start = {} if isinstance(self.start, str) and self.start == "assembled" else {"start": self.start}
+        return settings | self.options | start
+
+    def with_steps(self, steps: int | None) -> Self:
+        """The same simulation by other steps; the preparation is shared."""
+        if steps == self.steps:
+            return self
+        checked_integrator(self.duration, self.method, steps, self.options)
+        known, other = self._prepared(), copy.copy(self)
+        other.steps, other._known = None if steps is None else int(steps), known
+        return other
+
+    def with_arguments(self, **arguments: Any) -> Simulation:
+        """A simulation with some other arguments, checked and prepared anew."""
+        return Simulation(**{"system": self.system, "duration": self.duration} | self.settings | arguments)
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        phases = len(self.phases or ()) or 1
+        return [
+            ("bodies", ", ".join(body.name for body in self.system.bodies)),
+            ("motion", f"{self.seconds:g} s, {self.method}, steps {self.steps or 'by default'}"),
+            ("phases", phases),
+            ("backend", self.backend),
+        ]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Arguments only: the process that reads them prepares."""
+        return vars(self) | {"_known": None}
+
+    @exclusive
+    def _prepared(self) -> _Preparation:
+        """The preparation, anew where the system has changed (module header)."""
+        system, known = self.system, self._known
+        system.join_again()
+        if known and known.topology is system.topology and known.stabilization == system.stabilization:
+            return known
+        start = start_of(system, self.start)
+        is_assembled = isinstance(self.start, str) and self.start == "assembled"
+        from_start = system if is_assembled else system.starting(start)
+        if self.phases is not None:
+            _segments(from_start, self.phases, self.seconds)
+        integrator = self._integrator.with_defaults(from_start.topology)
+        self._known = _Preparation(system.topology, system.stabilization, start, from_start, integrator)
+        return self._known
+
+    @exclusive
+    def __call__(
+        self,
+        designs: Mapping[str, Tensor] | None = None,
+        gradients: str = "auto",
+        variables: Sequence[str] | None = None,
+        progress: bool | None = None,
+    ) -> Trajectory:
+        """The motions of designs, name -> values [lanes, ...], or [...] for one lane; arguments as of `simulate`.
+
+        Raises InputError for bad arguments.
         """
-        options = dict(self.options)
-        if self.order is None:
-            assert isinstance(self.integrator, Torchdiffeq)
-            share = _TIGHTER ** (factor // 2)
-            options |= {"rtol": max(_LEAST_RTOL, self.integrator.rtol * share), "atol": self.integrator.atol * share}
-            return self._again(self.system, factor * self.steps, self.arguments, options)
-        parts = -(-self.steps // self.multiple)
-        finer = math.ceil(FINER * parts) if factor == 2 else factor * parts + 1
-        while math.gcd(finer, parts) > 1:
-            finer += 1
-        return self._again(self.system, self.multiple * finer, self.arguments, options)
+        prepared = self._prepared()
+        start, system, integrator = prepared.start, prepared.system, prepared.integrator
+        design_values = checked_designs(system, designs)
+        check_gradients(gradients, integrator)
+        phases, steps, seconds = self.phases, self.steps, self.seconds
+        grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
+        # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
+        with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
+            warn_static_truncation(system)
+            by_duration = duration_is_differentiated(self.duration, gradients, integrator)
+            if phases is not None:
+                check_phase_times(phases, gradients, integrator)
+            warn_of_jumps(system, seconds, steps, integrator, phases, by_duration)
+            by_times = by_duration or any(phase.time is not None for phase in phases or ())
+            names = variable_names(system, design_values, gradients, variables, by_times)
+            check_start(start, gradients, integrator)
+            if gradients != "none":
+                refuse_other_designs(names, design_values)
+            batch = lanes_of_batch(system, design_values, names, start.lanes)
+            if gradients in ("forward", "reverse"):
+                leaves = {k for k, x in batch.items() if k in names and not is_differentiated(x)}
+                batch = {k: x.detach().clone().requires_grad_() if k in leaves else x for k, x in batch.items()}
+            lanes = max((len(x) for x in batch.values()), default=start.lanes)
+            intervals = integrator.stored_intervals(steps) if steps else FEWEST
+            tangents = sum(x[0].numel() for name, x in batch.items() if name in names)
+            require_memory(system, lanes, intervals, tangents, gradients != "forward")
+            if gradients == "forward" or phases is not None or not integrator.adjoint:
+                refuse_dual_level(batch)
+            forward = gradients == "forward" or not isinstance(integrator, OneStep)
+            if forward:
+                motion = self._with_tangents(prepared, batch, names)
+            else:
+                motion = self._with_adjoint(prepared, batch, names, self.duration if by_duration else seconds)
+            motion.stats["backend"] = motion.integration.dynamics.backend
+            mode = "forward" if forward else "reverse"
+            motion.stats["gradients"] = mode if names or by_times or start.is_differentiated else "none"
+            with torch.no_grad():
+                if phases is None:
+                    report_singular_positions(plain(motion))
+                motion.stats.pop("valid_times", None)
+                values = plain(motion, motion.integration.validity[0, 0])
+                warn_of_spin(values)
+                warn_of_loads(values)
+                warn_of_displacements(values)
+                name_causes(values)
+            motion.repetition = Repetition(
+                simulation=self,
+                designs={name: x.detach() for name, x in design_values.items()},
+                integrator=integrator,
+                steps=motion.integration.steps or len(motion.t) - 1,
+                multiple=rounding(integrator, motion.integration.dynamics, seconds)(1),
+                parameters={name: x.detach().clone() for name, x in self.system.named_parameters()},
+            )
+            return motion
 
-    def coarser(self) -> Any | None:
-        """The motion with half as many equal steps, values only, without its warnings; None where there is none."""
-        if self.order is None or self.steps % 2:
-            return None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return self._again(self.system, self.steps // 2, self.arguments, self.options)
-
-    def richer(self, motion: Any) -> Any | None:
-        """The same steps with more modes of all flexible bodies, values only; None where no body has further modes.
-
-        motion   the motion of these arguments: modal coordinates of its start are those of its modes
-        Raises InputError for a static equilibrium that begins with modal coordinates.
-        """
-        T = motion.dynamics.topology
-        modes = dict(zip(T.names, T.mode_counts, strict=False))  # flexible bodies are the first
-        return self._with_bodies(motion, *richer_system(self.system, modes))
-
-    def with_finer_meshes(self, motion: Any) -> Any | None:
-        """The same on meshes of twice as many cells in each direction; None where no body has such a mesh."""
-        return self._with_bodies(motion, *finer_mesh_system(self.system))
-
-    def _with_bodies(self, motion: Any, system: System, names: list[str]) -> Any | None:
-        if not names:
-            return None
-        return self._again(system, self.steps, _with_other_modes(motion, system, self.arguments), self.options)
-
-    def _again(self, system: System, steps: int, arguments: Mapping[str, Any], options: Mapping[str, Any]) -> Any:
-        for name, x in self.system.named_parameters():
-            if not torch.equal(x.detach(), self.parameters[name]):
-                raise InputError(f"parameter {name!r} has changed since the motion; allowed: simulate again")
-        if arguments["phases"] is not None:  # times without gradients, and joints of any copy of the system
-            arguments = {**arguments, "phases": [_plain(phase) for phase in arguments["phases"]]}
-        return self.simulate(system, steps=steps, gradients="none", progress=False, **arguments, **options)
-
-
-def _plain(phase: Any) -> Any:
-    times = {key: getattr(phase, key) for key in ("until", "lasting")}
-    joints = {key: [getattr(x, "name", x) for x in getattr(phase, key)] for key in ("lock", "release")}
-    return replace(phase, **{k: x.detach() if isinstance(x, Tensor) else x for k, x in times.items()}, **joints)
-
-
-def _with_other_modes(motion: Any, system: System, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of `simulate` for a `system` of other modes, out of those of a motion: of `start` and `designs`.
-
-    Raises InputError for a static equilibrium that begins with modal coordinates or rates: they cannot be combined.
-    """
-    designs, start = dict(arguments["designs"]), arguments["start"]
-    numbers: dict[str, Any] = {}
-    if isinstance(start, MotionData):
-        numbers = _last_state(start)
-    elif isinstance(start, Mapping):
-        numbers = {name: torch.as_tensor(x, dtype=torch.float64).detach() for name, x in start.items()}
-    shapes = None
-    for name in system.topology.names[: system.topology.flexible]:
-        for key in MODAL:
-            label = f"{name}.{key}"
-            of_design = designs.pop(label, getattr(motion.system.body(name), key))
-            w = numbers.pop(label, of_design).detach()
-            if bool(w.any()):
-                shapes = shapes or DesignShapes(system, designs, motion.lanes)
-                numbers[label] = _in_more_modes(motion.modes(name), w, shapes.values(name))
-    if start == "equilibrium" and numbers:
-        raise InputError(
-            f"start is 'equilibrium', and bodies have {', '.join(map(repr, numbers))}; allowed: modal coordinates of zero"
+    def _with_tangents(self, prepared: _Preparation, batch: dict[str, Tensor], names: list[str]) -> Trajectory:
+        """A motion whose tangents by the parameters of these names are integrated with it."""
+        integration = ForwardIntegration(
+            names=tuple(batch),
+            variables=tuple(names),
+            labels=entry_labels(prepared.system, names),
+            duration=self.seconds,
+            steps=self.steps,
+            system=prepared.system,
+            phases=self.phases,
+            integrator=prepared.integrator,
+            backend=self.backend,
         )
-    return {**arguments, "designs": designs, "start": start if isinstance(start, str) and not numbers else numbers}
+        outputs: Any = Motion.apply(integration, *_lanes_last(batch))
+        whole = integration.system  # with the locks of its phases
+        motion = trajectory_of(whole, integration, outputs, integration.dynamics.data, batch, names)
+        motion.actions = integration.actions
+        return motion
+
+    def _with_adjoint(
+        self, prepared: _Preparation, batch: dict[str, Tensor], names: list[str], duration: float | Tensor
+    ) -> Trajectory:
+        """A motion whose structure stage is differentiated by torch, its steps by their adjoint; also by a `duration` []."""
+        model, integrator = prepared.system, prepared.integrator
+        phases, seconds = self.phases, self.seconds
+        assert isinstance(integrator, OneStep)
+        segments, system = None, model
+        if phases is not None:
+            system, segments = _segments(model, phases, seconds)
+        dynamics, shapes = system.stages(batch)
+        if phases is not None:
+            system, segments = _segments(model.with_modes(dynamics.topology.mode_counts), phases, seconds)
+            dynamics = replace(system.equations(), data=dynamics.data)
+        data = dynamics.data | times_of(segments or ())
+        if isinstance(duration, Tensor):
+            data[DURATION] = duration[None, None]
+        integration = ReverseIntegration(
+            names=tuple(data),
+            designs=tuple(batch) if segments else (),
+            differentiated=tuple(name for name, x in data.items() if x.requires_grad and name != DURATION),
+            duration=seconds,
+            steps=self.steps,
+            system=system,
+            segments=segments,
+            model=replace(dynamics, data={}),
+            integrator=integrator,
+            backend=self.backend,
+        )
+        designs = _lanes_last(batch) if segments else []
+        outputs: Any = Motion.apply(integration, *data.values(), *designs)
+        if not torch.is_grad_enabled():
+            shapes = {}  # made on demand: they take memory
+        motion = trajectory_of(system, integration, outputs, data, batch, names, shapes)
+        motion.actions = tuple(segment.topology.actions for segment in segments or ())
+        return at_moving_times(motion, duration) if isinstance(duration, Tensor) else motion
 
 
-def _in_more_modes(psi: Tensor, w: Tensor, more: Tensor) -> Tensor:
-    """Coordinates [lanes, m'] in shapes `more` [lanes, nodes, 6, m'] of those w [m] or [lanes, m] in shapes psi."""
-    u = torch.einsum("lnim,lm->lni", psi, w.expand(len(psi), -1))
-    more = more[:, : u.shape[1]]  # a finer mesh has further nodes
-    return torch.linalg.lstsq(more.flatten(1, 2), u.flatten(1, 2)[..., None]).solution[..., 0]
+def _segments(system: System, phases: Sequence[Phase], seconds: float) -> Any:
+    """As `segments_of`, also under a transform of torch.func."""
+    return outside_transforms(lambda: segments_of(system, phases, seconds))
 
 
-def _last_state(motion: Any) -> dict[str, Tensor]:
-    """The last state of a motion as numbers of all bodies [lanes, ...]."""
-    T, state = motion.dynamics.topology, {}
-    for i, name in enumerate(T.names):
-        body = motion.body(name)
-        p = body.p[:, -1] / body.p[:, -1].norm(dim=-1, keepdim=True)
-        state[f"{name}.position"] = body.r[:, -1]
-        state[f"{name}.axes"] = rotation_matrix(p.T).movedim(-1, 0)
-        state[f"{name}.velocity"] = body.at().velocity[:, -1]
-        state[f"{name}.angular_velocity"] = body.omega[:, -1]
-        if i < T.flexible:
-            state[f"{name}.modal"], state[f"{name}.modal_velocity"] = body.w[:, -1], body.wd[:, -1]
-    return {key: x.detach() for key, x in state.items()}
+def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
+    """Designs [lanes, ...] as inputs [..., 1, lanes] of `Motion`."""
+    return [x.movedim(0, -1).unsqueeze(-2) for x in batch.values()]

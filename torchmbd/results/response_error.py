@@ -114,7 +114,7 @@ def response_error(
     """
     if not callable(response):
         raise InputError(f"response is {response!r}; allowed: a measure, such as mbd.Max(...)")
-    if motion.simulation is None:
+    if motion.repetition is None:
         raise InputError("this motion is a part of another; allowed: error_of of the motion that simulate returns")
     with torch.no_grad():
         value = _numbers(response, motion)
@@ -155,7 +155,7 @@ def _by_steps(motion: Any, response: Any, value: Tensor, size: Tensor, enough: T
     size   what differences are compared with, of the same shape
     """
     half = motion.finer(2)
-    order, finer = motion.simulation.order, _numbers(response, half)
+    order, finer = motion.repetition.order, _numbers(response, half)
     if finer.shape != value.shape:
         raise InputError(
             f"response {response!r} has numbers {list(value.shape)}, with finer steps {list(finer.shape)}; "
@@ -196,7 +196,7 @@ def _by_steps(motion: Any, response: Any, value: Tensor, size: Tensor, enough: T
 
 def _remainder(motion: Any, finer: Any, order: int | None) -> float:
     """Share of the error of a motion that finer steps leave; 0 of adaptive methods."""
-    return (motion.simulation.steps / finer.simulation.steps) ** order if order else 0.0
+    return (motion.repetition.steps / finer.repetition.steps) ** order if order else 0.0
 
 
 def _confirmed(motion: Any, response: Any, value: Tensor, error: Tensor, size: Tensor) -> Tensor:

@@ -47,7 +47,7 @@ class Trajectory(MotionData):
     (41, 13)
     """
 
-    simulation: Any = field(default=None, init=False, repr=False)  # integrate/simulation.py; None: a part of a motion
+    repetition: Any = field(default=None, init=False, repr=False)  # integrate/repetition.py; None: a part of a motion
     _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
     _again: dict[Any, Trajectory | None] = field(default_factory=dict, init=False, repr=False)
 
@@ -75,20 +75,20 @@ class Trajectory(MotionData):
         return self._energies[mode]
 
     def finer(self, factor: int) -> Trajectory:
-        """The same motion with 2 or 4 times the steps (Simulation.finer), values only; it is kept for other responses."""
-        return self._kept(factor, lambda: self.simulation.finer(factor))
+        """The same motion with 2 or 4 times the steps (Repetition.finer), values only; it is kept for other responses."""
+        return self._kept(factor, lambda: self.repetition.finer(factor))
 
     def coarser(self) -> Trajectory | None:
         """The same motion with half the steps, kept likewise; None: of adaptive methods, and odd numbers of steps."""
-        return self._kept(0.5, self.simulation.coarser)
+        return self._kept(0.5, self.repetition.coarser)
 
     def richer(self) -> Trajectory | None:
-        """The same motion with more modes (integrate/simulation.py), kept likewise; None where there are no more."""
-        return self._kept("modes", lambda: self.simulation.richer(self))
+        """The same motion with more modes (integrate/repetition.py), kept likewise; None where there are no more."""
+        return self._kept("modes", lambda: self.repetition.richer(self))
 
     def with_finer_meshes(self) -> Trajectory | None:
         """The same motion with finer meshes, kept likewise; None where no body has a mesh that is refined."""
-        return self._kept("mesh", lambda: self.simulation.with_finer_meshes(self))
+        return self._kept("mesh", lambda: self.repetition.with_finer_meshes(self))
 
     def _kept(self, key: Any, make: Callable[[], Any]) -> Any:
         if key not in self._again:

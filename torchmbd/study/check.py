@@ -20,12 +20,13 @@ from torchmbd.design.response_spec import SpecError, leaf, measure_of, terms
 from torchmbd.design.scenario_settings import settings_of
 from torchmbd.design.space import CONSTANT, DesignSpace
 from torchmbd.errors import InputError
-from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator, start_of
+from torchmbd.integrate import Simulation
+from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator
 from torchmbd.integrate.registry import integrator_of
-from torchmbd.integrate.segment import segments_of
-from torchmbd.integrate.simulate import entry_labels
+from torchmbd.integrate.variables import entry_labels
 from torchmbd.math import units
 from torchmbd.multibody.system import System
+from torchmbd.study import schema
 from torchmbd.study.assemble import in_si, links_in_si, point_in_si, sweep_in_si
 from torchmbd.study.file_errors import Fault, Lines, Path, mentioned, shown
 from torchmbd.study.model import (
@@ -37,7 +38,7 @@ from torchmbd.study.model import (
 )
 from torchmbd.study.parameter_values import set_parameters
 from torchmbd.study.scenario_keys import Scenario
-from torchmbd.study.schema import OBJECTIVE_KEYS, Motion, Simulation, Variable
+from torchmbd.study.schema import OBJECTIVE_KEYS, Motion, Variable
 from torchmbd.study.settings import check_options, sweep_values
 
 Sections = Mapping[str, Any]
@@ -113,8 +114,8 @@ def section_faults(sections: Sections, system: System | None, folder: FilePath, 
 
     system  of its model, None if there is none
     """
-    simulate: Simulation | None = sections.get("simulate")
-    faults = Faults(lines)
+    simulate: schema.Simulation | None = sections.get("simulate")
+    faults, integrator = Faults(lines), None
     if simulate is not None:
         faults += motion_faults(simulate, lines)
         with faults.at("simulate"):
@@ -128,10 +129,10 @@ def section_faults(sections: Sections, system: System | None, folder: FilePath, 
         return faults
     if simulate is not None:
         with faults.at("simulate", "start"):
-            start_of(system, simulate.start)
-        if simulate.phases is not None:
+            Simulation(system, duration=1.0, start=simulate.start)
+        if simulate.phases is not None and integrator is not None:  # their times are compared with the duration
             with faults.at("simulate", "phases"):
-                segments_of(system, find_phases(simulate.phases, folder), simulate.duration)
+                Simulation(system, simulate.duration, phases=find_phases(simulate.phases, folder))
     _add_responses(faults, sections, system, folder)
     if "design" in sections:
         _add_design(faults, sections, system)

@@ -38,7 +38,7 @@ from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.verification import advice
 from torchmbd.design.words import words
 from torchmbd.errors import MbdError
-from torchmbd.integrate import Trajectory, simulate
+from torchmbd.integrate import Trajectory
 from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.optimization.pareto import group_sizes
 from torchmbd.progress import begin_stage, stages_told
@@ -187,19 +187,13 @@ def _shares(steps: int | None) -> list[float]:
 def _simulate_beginning(problem: Problem, X: np.ndarray, mode: str, share: float) -> float:
     """Simulate the beginning of the motions of all scenarios with their responses; return the bytes of the motions."""
     steps, size = problem.steps, 0.0
-    settings = {name: value for name, value in problem.simulation.items() if name != "steps"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about the accuracy of a few steps
-        for system, designs in problem.cases(X):
-            motion = simulate(
-                system,
-                share * problem.duration,
-                steps=None if steps is None else round(share * steps),
-                gradients=mode,
-                variables=problem.space.variables,
-                designs=designs,
-                **settings,
+        for simulation, designs in problem.cases(X):
+            part = simulation.with_arguments(
+                duration=share * problem.duration, steps=None if steps is None else round(share * steps)
             )
+            motion = part(designs, mode, problem.space.variables)
             differentiate(partial(_response_rows, problem), motion)
             size += _motion_bytes(motion)
     return size

@@ -68,7 +68,7 @@ def problem_key(problem: Any) -> str:
     """
     if isinstance(problem, (Problem, Differences)):
         cases = problem.cases(problem.start[None]) if hasattr(problem, "cases") else []
-        varied = [system.get_parameter(name) for system, _ in cases for name in problem.space.variables]
+        varied = [simulation.system.get_parameter(name) for simulation, _ in cases for name in problem.space.variables]
         built = digest(*problem.settings(), ignored=varied)
     else:
         built = digest(problem)

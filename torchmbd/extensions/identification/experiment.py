@@ -15,11 +15,9 @@ from torchmbd.design.scenario_settings import settings_of
 from torchmbd.errors import DesignFailure, InputError, argument_names, checked_signature
 from torchmbd.extensions.identification.measurement import Limits, Measurement
 from torchmbd.extensions.identification.run import Run
-from torchmbd.integrate import Phase
-from torchmbd.integrate.arguments import check_backend, checked_integrator, start_of
+from torchmbd.integrate import Phase, Simulation
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.registry import DEFAULT
-from torchmbd.integrate.segment import segments_of, switching
 from torchmbd.math.checked_numbers import list_of, positive
 from torchmbd.multibody.system import System
 from torchmbd.summary import Summary
@@ -71,13 +69,18 @@ class Experiment(Summary):
             if self.channels.count(name) > 1:
                 raise InputError(f"channel {name!r} is measured twice in one experiment; allowed: each name once")
         self.duration = None if duration is None else positive("duration", duration, "s")
-        length = self.duration or 1.0
-        phases = switching(phases)
-        self.integrator = checked_integrator(length, method, steps, options, argument_names(Experiment))
-        check_backend(backend)
-        start_of(system, start)
-        if self.duration is not None:
-            segments_of(system, (Phase(),) if phases is None else phases, length)
+        self.phases = phases
+        self.simulation = Simulation.of_caller(
+            argument_names(Experiment),
+            system,
+            self.duration or 1.0,  # until `within` has that of the measurements
+            method=method,
+            steps=steps,
+            phases=None if self.duration is None else phases,
+            backend=backend,
+            start=start,
+            **options,
+        )
         self.system = system
         self.settings = settings_of(system, (), "the experiment", settings or {})
         for name in (name for measurement in self.measurements for name in measurement.sets if name in self.settings):
@@ -85,7 +88,6 @@ class Experiment(Summary):
                 f"settings has {name!r}, a load that a measurement sets; allowed: parameters that are none"
             )
         self.steps = steps
-        self.simulation = {"method": method, "phases": phases, "backend": backend, "start": start, **options}
 
     def _summary(self) -> list[tuple[str, Any]]:
         settings = ", ".join(f"{name} = {x.tolist()}" for name, x in self.settings.items())
@@ -107,6 +109,8 @@ class Experiment(Summary):
         result = object.__new__(Experiment)
         vars(result).update(vars(self))
         result.duration = self.duration or last
+        if self.duration is None and last > 0.0:
+            result.simulation = self.simulation.with_arguments(duration=last, phases=self.phases)
         parameters = dict(self.system.named_parameters())
         run = result.run({name: x for name, x in start.items() if name in parameters}, 1, False, None)
 
@@ -121,9 +125,9 @@ class Experiment(Summary):
 
     def has_steps(self, limits: Limits) -> bool:
         """Whether its measurements need a motion, by a method whose error falls with the square of its equal steps."""
-        return isinstance(self.integrator, OneStep) and any(x.until(limits) > 0.0 for x in self.measurements)
+        return isinstance(self.simulation.integrator, OneStep) and any(x.until(limits) > 0.0 for x in self.measurements)
 
     def run(self, designs: dict[str, Tensor], lanes: int, gradients: bool, steps: int | None) -> Run:
         """The experiment with a batch of designs, by name [lanes, ...]."""
-        simulation = self.simulation | {"steps": steps}
+        simulation = self.simulation.with_steps(steps)
         return Run(self.system, self.duration or 0.0, designs, self.settings, simulation, lanes, gradients)

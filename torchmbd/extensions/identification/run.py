@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.differentiate import ValueAndGradient, differentiate, push_forward
-from torchmbd.integrate import Trajectory, simulate
+from torchmbd.integrate import Simulation, Trajectory
 from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
 from torchmbd.multibody.system import System
 
@@ -26,7 +26,7 @@ class Run:
     system, duration   of the experiment [s]
     designs      values of the unknown parameters that the system has, by name [lanes, ...]
     settings     values of other parameters, by name
-    simulation   further arguments of `simulate`
+    simulation   of the system, which makes its motions
     lanes        of the batch
     gradients    whether derivatives by the unknown parameters are wanted
     """
@@ -35,7 +35,7 @@ class Run:
     duration: float
     designs: Mapping[str, Tensor]
     settings: Mapping[str, Tensor]
-    simulation: Mapping[str, Any]
+    simulation: Simulation
     lanes: int
     gradients: bool
 
@@ -52,7 +52,7 @@ class Run:
     @property
     def rest_start(self) -> Any:
         """Where the search for an equilibrium begins, as the motion does; one that starts at rest begins it assembled."""
-        start = self.simulation.get("start", "assembled")
+        start = self.simulation.start
         return "assembled" if isinstance(start, str) and start == "equilibrium" else start
 
     @property
@@ -64,10 +64,9 @@ class Run:
     @cached_property
     def motion(self) -> Trajectory:
         """The motion of all lanes, with its tangents where gradients are wanted; of one lane where it sets no parameters."""
-        options: dict[str, Any] = {"gradients": "none"}
         if self.gradients and self.designs:
-            options = {"gradients": "forward", "variables": self.variables}
-        return simulate(self.system, self.duration, designs=self.parameters, **options, **self.simulation)
+            return self.simulation(self.parameters, "forward", self.variables)
+        return self.simulation(self.parameters, "none")
 
     def equilibrium(self, system: System, **options: Any) -> Equilibrium:
         """The equilibrium of all lanes of the system, or of one with the same parameters; options as of `equilibrium`."""

@@ -89,7 +89,8 @@ def fit_key(problem: FitProblem) -> str:
         own = dict(experiment.system.named_parameters())
         unknown += [own[key] for key in problem.space.variables if key in own]
         unknown += [x for measurement in experiment.measurements for x in measurement.unknowns.values()]
-        parts += [name, experiment.system, experiment.settings, experiment.duration, experiment.simulation]
+        parts += [name, experiment.system, experiment.settings, experiment.duration]
+        parts += [experiment.simulation.settings]
         parts += [list(measurement.unknowns) for measurement in experiment.measurements]
         parts += [vars(measurement) for measurement in experiment.measurements]
     return digest(parts, problem.space.entries, problem.space.links, problem.space.offset, ignored=unknown)

@@ -20,7 +20,7 @@ from torchmbd.extensions.vibrations.eigenvalues import Choice, eigenvalues
 from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.equilibrium import StaticIntegration
 from torchmbd.integrate.motion import Motion
-from torchmbd.integrate.simulate import lanes_of_batch, variable_names
+from torchmbd.integrate.variables import lanes_of_batch, variable_names
 from torchmbd.math.checked_numbers import differentiable_reals, reals
 from torchmbd.math.gradients import all_true
 from torchmbd.math.module_call import exclusive
