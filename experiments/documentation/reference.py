@@ -36,7 +36,7 @@ GROUPS: dict[str, str] = {
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
-    "simulation": "simulate equilibrium Equilibrium campbell Campbell frozen_poles linearize LinearSystem "
+    "simulation": "simulate Simulation equilibrium Equilibrium campbell Campbell frozen_poles linearize LinearSystem "
     "buckling Buckling frequencies Vibrations Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz viz.animate_mode viz.campbell viz.data_and_model viz.fiber_paths viz.mode_motion "
     "viz.root_locus viz.save_mesh viz.save_modes viz.save_motion",

@@ -128,8 +128,8 @@ def test_an_error_that_is_small_enough_needs_no_third_motion(monkeypatch):
     """Half of the steps are enough; and the objective at the start is known from the choice of its steps."""
     chosen = problem(mbd.RMS(mbd.Position("bob", "x")), tolerance=0.01)
     steps, motions = chosen.steps, []
-    simulate = problem_steps.simulate
-    monkeypatch.setattr(problem_steps, "simulate", lambda *a, **k: motions.append(simulate(*a, **k)) or motions[-1])
+    simulated = problem_steps._motions
+    monkeypatch.setattr(problem_steps, "_motions", lambda *a: motions.extend(result := simulated(*a)) or result)
     monkeypatch.setattr(type(chosen), "motion", lambda *_: pytest.fail("the start was simulated again"))
     assert chosen.refined(np.array([2.0])) is None
     [motion] = motions
@@ -164,7 +164,7 @@ def test_without_a_tolerance_a_search_has_one_part():
 @pytest.mark.thorough
 def test_where_half_of_the_steps_fail_the_steps_themselves_are_the_measure(monkeypatch):
     """As where Newton's iterations do not converge by longer steps."""
-    simulate, steps = problem_steps.simulate, 600
+    simulate, steps = mbd.Simulation.__call__, 600
     system_problem = problem(mbd.RMS(mbd.Position("bob", "x")), tolerance=1e-3, steps=steps)
 
     def fails(*args, **options):
@@ -173,7 +173,7 @@ def test_where_half_of_the_steps_fail_the_steps_themselves_are_the_measure(monke
             motion.status[0] = "failed: injected"
         return motion
 
-    monkeypatch.setattr(problem_steps, "simulate", fails)
+    monkeypatch.setattr(mbd.Simulation, "__call__", fails)
     choice = steps_for(system_problem, system_problem.start, steps, 1e-3)
     assert math.isfinite(choice.error)
     assert choice.steps is not None

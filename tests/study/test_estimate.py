@@ -10,9 +10,11 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
-from torchmbd.integrate import simulate
+from torchmbd.integrate import Simulation
 from torchmbd.study.estimate import estimate, print_estimate
 from torchmbd.study.load import load_study
+
+simulate = Simulation.__call__
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -42,12 +44,12 @@ def test_the_time_is_that_of_a_batch(write, monkeypatch):
     problem, clock = plan.simulated, [0.0]
     bytes_of_a_motion = problem.motion(problem.start).q[0].numel() * 8
 
-    def counted(*given, steps, designs, **options):
+    def counted(simulation, designs, *others):
         lanes = len(next(iter(designs.values())))
-        clock[0] += 1.0 + 0.125 * steps * lanes
-        return simulate(*given, steps=steps, designs=designs, **options)
+        clock[0] += 1.0 + 0.125 * simulation.steps * lanes
+        return simulate(simulation, designs, *others)
 
-    monkeypatch.setattr("torchmbd.study.estimate.simulate", counted)
+    monkeypatch.setattr(Simulation, "__call__", counted)
     monkeypatch.setattr("torchmbd.study.estimate.time", clock_of(clock))
     cost = estimate(plan, problem)
     assert cost.batch_seconds == pytest.approx(1.0 + 0.125 * 60 * 2, rel=1e-12)  # of two starts
@@ -95,9 +97,9 @@ def test_scenarios_of_several_systems_count(monkeypatch):
     """By a clock that only simulations move: every batch simulates each system with a lane for each of its scenarios."""
     clock, light, heavy = [0.0], mbd.examples.arm(), mbd.examples.arm()
 
-    def counted(*given, designs, **options):
+    def counted(simulation, designs, *others):
         clock[0] += len(next(iter(designs.values())))
-        return simulate(*given, designs=designs, **options)
+        return simulate(simulation, designs, *others)
 
     payload = {"arm.laminate.thickness": [2e-3, 2e-3]}
     problem = mbd.Scenarios(
@@ -109,7 +111,7 @@ def test_scenarios_of_several_systems_count(monkeypatch):
         variables=["arm.laminate.angles"],
         steps=20,
     )
-    monkeypatch.setattr("torchmbd.study.estimate.simulate", counted)
+    monkeypatch.setattr(Simulation, "__call__", counted)
     monkeypatch.setattr("torchmbd.study.estimate.time", clock_of(clock))
     points = np.tile(problem.start, (2, 1))
     study = SimpleNamespace(problem=problem, sweep=None, points=points, max_iterations=4)
