@@ -96,6 +96,20 @@ def test_tensors_of_a_start_count_as_they_are():
     assert not torch.equal(simulation().v, before)
 
 
+@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
+def test_a_simulation_that_is_made_without_gradients_has_them_where_it_is_called(mode):
+    """By the end of another motion."""
+    rates = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, requires_grad=True)
+    system = mbd.examples.pendulum()
+    first = mbd.simulate(system, 0.01, steps=2, start={"bob.angular_velocity": rates}, backend="eager")
+    with mode():
+        simulation = mbd.Simulation(system, 0.01, steps=2, start=first, backend="eager")
+    [slope] = torch.autograd.grad(simulation().q.sum(), [rates], retain_graph=True)
+    second = mbd.simulate(system, 0.01, steps=2, start=first, backend="eager")
+    assert torch.equal(slope, torch.autograd.grad(second.q.sum(), [rates])[0])
+    assert slope.abs().max() > 0.0
+
+
 def test_topology_is_built_once_for_a_start(monkeypatch):
     """The system that begins at a start is made at the door, not at every call."""
     made = []

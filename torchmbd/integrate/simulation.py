@@ -177,11 +177,13 @@ class Simulation(Summary):
         system.join_again()
         if known and known.topology is system.topology and known.stabilization == system.stabilization:
             return known
-        start = start_of(system, self.start)
-        is_assembled = isinstance(self.start, str) and self.start == "assembled"
-        from_start = system if is_assembled else system.starting(start)
-        if self.phases is not None:
-            _segments(from_start, self.phases, self.seconds)
+        # Whatever the mode of its maker: later calls may have gradients, also by a motion at whose end they start.
+        with torch.inference_mode(False), torch.enable_grad():
+            start = start_of(system, self.start)
+            is_assembled = isinstance(self.start, str) and self.start == "assembled"
+            from_start = system if is_assembled else system.starting(start)
+            if self.phases is not None:
+                _segments(from_start, self.phases, self.seconds)
         integrator = self._integrator.with_defaults(from_start.topology)
         self._known = _Preparation(system.topology, system.stabilization, start, from_start, integrator)
         return self._known
