@@ -137,14 +137,20 @@ def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
         )
 
 
+def check_dtypes(system: System) -> None:
+    """InputError names the first parameter of a system that has other numbers than float64."""
+    for name, x in system.named_parameters():
+        if x.dtype != torch.float64:
+            raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
+
+
 def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
     """Designs with a lane axis; InputError names those that are not finite float64 numbers of the system's parameters."""
     parameters = dict(system.named_parameters())
     if not isinstance(designs, (Mapping, type(None))):
         raise InputError(f"designs is {designs!r}; allowed: parameter name -> tensor [lanes, ...]")
+    check_dtypes(system)
     for name, x in parameters.items():
-        if x.dtype != torch.float64:
-            raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
         if name in (designs or {}):
             continue
         if not all_true(torch.isfinite(x)):

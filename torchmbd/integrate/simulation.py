@@ -24,6 +24,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, argument_names, checked_signature
 from torchmbd.integrate.arguments import (
     check_backend,
+    check_dtypes,
     check_gradients,
     check_phase_times,
     check_start,
@@ -112,6 +113,7 @@ class Simulation(Summary):
         phases = switching(phases)
         self._integrator = checked_integrator(duration, method, steps, options, argument_names(Simulation))
         check_backend(backend)
+        check_dtypes(system)
         self.system, self.duration, self.method, self.backend = system, duration, method, backend
         self.steps = None if steps is None else int(steps)
         self.phases = tuple(phases) if isinstance(phases, (list, tuple)) else phases
@@ -200,9 +202,9 @@ class Simulation(Summary):
 
         Raises InputError for bad arguments.
         """
+        design_values = checked_designs(self.system, designs)
         prepared = self._prepared()
         start, system, integrator = prepared.start, prepared.system, prepared.integrator
-        design_values = checked_designs(system, designs)
         check_gradients(gradients, integrator)
         phases, steps, seconds = self.phases, self.steps, self.seconds
         grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
