@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchmbd.errors import warn
 from torchmbd.integrate.contacts import UnresolvedContact
+from torchmbd.integrate.estimates import GOOD_STEP
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.statistics import Statistics
@@ -24,8 +25,10 @@ from torchmbd.integrate.stepper import ITERATION_ERROR, TURN
 from torchmbd.math.pair import value
 from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.results.energies import energies
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, has_failed
+from torchmbd.results.trajectory import Trajectory
 
 # Lanes with a larger iteration error, or with steps that were corrected further, have their joints checked.
 IMPRECISE = 1e-3
@@ -38,6 +41,7 @@ ALTERNATION = 0.3
 # Beyond these mechanics of Newton does not hold, and rounding of positions is of the size of a machine.
 LIGHT = 3e8  # [m/s]; of angular and modal rates as well
 FAR = 1e13  # [m]
+_GAIN = 0.05  # of the largest kinetic and strain energy, which no load gives: trapezoidal works are off by a percent
 _OPEN = 1e-4  # [m] or [-]: violation of a joint at the end of a motion whose joints could not stay closed
 _UNRESOLVED = "unresolved: "
 
@@ -145,6 +149,32 @@ def mark_unresolved_contacts(status: list[str], contacts: Mapping[int, Unresolve
     for lane, contact in contacts.items():
         if not has_failed(status[lane]):
             status[lane] = f"{'failed: ' if contact.fails else _UNRESOLVED}{contact.message}"
+
+
+def mark_gains(motion: Trajectory) -> None:
+    """Set the status of lanes of a motion of values whose vibrations gain energy that nothing gives them, after a switch.
+
+    A lock excites vibrations that the steps before did not have to resolve; those of a fifth of a period or more may grow
+    from step to step, as they do not decay in a method of little numerical damping.
+    """
+    T, errors = motion.dynamics.topology, motion.stats.get("step_error")
+    driven = any(p.driven for p in T.primitives) or len(T.links.each) > 0  # their work has errors of the steps itself
+    if not motion.switches or errors is None or not T.flexible or driven:
+        return
+    lanes = [k for k, status in enumerate(motion.status) if status == OK and float(errors[k]) > GOOD_STEP]
+    if not lanes:
+        return
+    e = energies(motion, lanes)
+    gain = (e.stored + e.lost - e.applied - (e.stored - e.applied)[:, :1]).amax(1)
+    size = (e.kinetic + e.strain).amax(1)
+    for lane, share in zip(lanes, (gain / size).tolist(), strict=True):
+        if share > _GAIN:
+            motion.status[lane] = (
+                f"{_UNRESOLVED}the motion gains {share:.1g} of its energy, which no load gives it: the steps do not resolve "
+                "the vibrations of a flexible body after a switch, which grow; more steps, a smaller spectral_radius or "
+                "damping of the body help"
+            )
+    warn_unresolved([motion.status[lane] for lane in lanes])
 
 
 def mark_doubts(status: list[str], doubts: Mapping[int, str]) -> None:

@@ -39,6 +39,7 @@ from torchmbd.integrate.forward_integration import ForwardIntegration
 from torchmbd.integrate.integrated_trajectory import at_moving_times, plain, trajectory_of
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.jumps import warn_of_jumps
+from torchmbd.integrate.lane_status import mark_gains
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
@@ -247,6 +248,7 @@ class Simulation(Summary):
                 warn_of_loads(values)
                 warn_of_displacements(values)
                 name_causes(values)
+                mark_gains(replace(values, switches=motion.integration.switches))
             motion.repetition = Repetition(
                 simulation=self,
                 designs={name: x.detach() for name, x in design_values.items()},

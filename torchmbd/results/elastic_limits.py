@@ -29,6 +29,9 @@ Tension stiffens a body and pressure softens it, with spin or without. At a shar
 buckles; errors of deflections are of the size of the share, and depend on the reference as it does: beside the tangent at its
 end a rod turns far, beside the one at its middle hardly.
 
+All loads are means over a quarter of the period of om_1. A body does not yield to faster ones: after a latch the fastest modes
+shake at om v, which grows with the number of modes and with that of the steps that resolve them, and leaves no lasting load.
+
 The multipliers in p take longer than a motion. So the share is computed where the size of all loads,
 
     size = (sum m |r'' - g| + sum |p| of force elements) / (m om_1^2 length),   om_1, length: of the body
@@ -42,6 +45,8 @@ Checked in tests/results/test_elastic_limits.py, tests/validation/test_flexible_
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -171,13 +176,15 @@ def load_shares(motion: Trajectory) -> dict[str, float]:
         for k, body in bodies
         if not any(isinstance(part, GivenElements) for part in body.assembly.parts.values())
     ]
-    sizes = _sizes(motion) if bodies else []
+    intervals = [_intervals(motion, name) for name in T.names[: T.flexible]] if bodies else []
+    sizes = _sizes(motion, intervals) if bodies else []
     loads = None
     for k, body in bodies:
         size, share = _LOOKED_AT.get(body, (0.0, 0.0))
         if sizes[k] > max(_SMALL, _GROWN * size) and len(frame_nodes(T, k)) <= _MOST_NODES:
             loads = _loads(motion) if loads is None else loads
-            size, share = _LOOKED_AT[body] = sizes[k], _share(T, k, body, *loads)
+            means = [_means(x, intervals[k], 1) for x in loads]
+            size, share = _LOOKED_AT[body] = sizes[k], _share(T, k, body, *means)
         shares[body.name] = share * sizes[k] / size if size else 0.0
     return shares
 
@@ -205,21 +212,46 @@ def notes_of_loads(system: Any) -> list[str]:
     ]
 
 
-def _sizes(motion: Trajectory) -> list[float]:
-    """Size of all loads by that of each flexible body (module header), the largest of all lanes and times."""
-    T, data = motion.dynamics.topology, motion.dynamics.data
+def _intervals(motion: Trajectory, name: str) -> int:
+    """Intervals between times that a quarter of the longest period of a flexible body has, in its stiffest lane."""
+    lowest = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[:, :1].clamp_min(0.0).sqrt()
+    count = len(motion.t) - 1
+    fastest = float(lowest.nan_to_num(0.0, 0.0, 0.0).amax()) if lowest.numel() else 0.0
+    quarter = 0.5 * math.pi * count / (fastest * float(motion.t[-1])) if fastest and count else float(count)
+    return round(min(quarter, count))
+
+
+def _means(x: Tensor, intervals: int, axis: int) -> Tensor:
+    """Means of x over all successive times that `intervals` lie between, along its axis of times."""
+    if not intervals:
+        return x
+    x = x.movedim(axis, 0)
+    total = torch.cat([torch.zeros_like(x[:1]), (0.5 * (x[1:] + x[:-1])).cumsum(0)])
+    return ((total[intervals:] - total[:-intervals]) / intervals).movedim(0, axis)
+
+
+def _sizes(motion: Trajectory, intervals: Sequence[int]) -> list[float]:
+    """Size of all loads by that of each flexible body (module header), the largest of all lanes and times.
+
+    intervals   over which the loads on each body are averaged
+    """
+    T, data, shape = motion.dynamics.topology, motion.dynamics.data, (motion.lanes, len(motion.t))
     mass = value(data["mass"])[:, 0]
     acceleration = in_lanes(motion.a)[: 3 * T.bodies].unflatten(0, (3, -1))
     if "gravity" in data:
         acceleration = acceleration - _at_all_times(motion, data["gravity"])
-    forces = _at_all_times(motion, mass) * _lengths(acceleration[:, :, 0])
-    total = forces.sum(0)
+    vectors = [(acceleration[:, :, 0].unflatten(-1, shape), mass[..., None])]
     if T.actions:
         wide, at = placement_at_times(motion)
-        total = total + _lengths(equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0]).sum(0)
-    largest = (total.nan_to_num(0.0, 0.0, 0.0).reshape(motion.lanes, len(motion.t)) * _known(motion)).amax(1)
+        pulls = equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0]
+        vectors.append((pulls.unflatten(-1, shape), mass.new_ones(1, 1, 1)))
+    totals = {
+        n: sum(((weight * _lengths(_means(x, n, -1))).sum(0) for x, weight in vectors), torch.zeros(()))
+        for n in set(intervals)
+    }
     sizes = []
     for k, name in enumerate(T.names[: T.flexible]):
+        largest = (totals[intervals[k]].nan_to_num(0.0, 0.0, 0.0) * _known(motion)).amax(1)
         lowest = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).reshape(-1)
         second = value(data["P0"])[:, :, k, 0].diagonal().sum(-1)  # mass times a square of its length
         size = largest / (lowest * (mass[k] * second).sqrt())

@@ -17,6 +17,7 @@ Checked in tests/physics/test_energies.py: against nodal sums, and the balance t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -70,8 +71,8 @@ class Energies(Summary):
         return total - total[:, :1]
 
 
-def energies(motion: MotionData) -> Energies:
-    """The energies of all lanes of a motion."""
+def energies(motion: MotionData, lanes: Sequence[int] | None = None) -> Energies:
+    """The energies of some lanes of a motion; None: of all."""
     if has_lane_times(motion) and len(motion.status) != motion.lanes:
         raise InputError(
             "energies of lanes with phases or smaller steps of their own are asked for in torch.func.vmap; "
@@ -80,7 +81,7 @@ def energies(motion: MotionData) -> Energies:
     remade = has_checkpoints(motion)
     if remade and in_transform(motion.q):
         raise InputError(_REFUSED)
-    parts = [_lane(motion, lane) for lane in range(motion.lanes)]
+    parts = [_lane(motion, lane) for lane in (range(motion.lanes) if lanes is None else lanes)]
     result = [torch.stack(x) for x in zip(*parts, strict=True)]
     return Energies(*map(_without_gradient, result) if remade and is_differentiated(motion.q) else result)
 
