@@ -141,6 +141,28 @@ def test_a_critical_speed_is_one_of_a_fixed_observer_whatever_axes_are_used():
         assert float(slope) == pytest.approx(float(expected), rel=1e-3)
 
 
+@pytest.mark.thorough
+def test_the_observer_chooses_the_axes_and_leaves_the_speed():
+    """A disk on a mount that is alike all around: sqrt(k / m) in axes of both; two stiffnesses have no turning axes."""
+
+    def critical(observer: str, other: float = 8e3) -> torch.Tensor:
+        disk = mbd.RigidBody("disk", mbd.variable(2.0), (0.02, 0.01, 0.01))
+        mount = mbd.Bushing(GROUND.at(), disk.at(), (5e4, 8e3, other), turning_stiffness=(0.0, 300.0, 300.0))
+        designs = {"disk.mass": mass}
+        motion = mbd.simulate(mbd.System([disk], forces=[mount]), 1e-4, steps=2, designs=designs, backend="eager")
+        return mbd.CriticalSpeed(1, between=(40.0, 90.0), points=4, axis="x", observer=observer)(motion)
+
+    mass = torch.tensor([2.0], dtype=torch.float64, requires_grad=True)
+    for observer in ("ground", "turning"):
+        speed = critical(observer)
+        (slope,) = torch.autograd.grad(speed.sum(), mass)
+        assert float(speed) == pytest.approx(math.sqrt(8e3 / 2.0), rel=1e-6)
+        assert float(slope) == pytest.approx(-0.25 * math.sqrt(8e3 / 2.0), rel=1e-5)
+    assert float(critical("ground", 6e3)) == pytest.approx(math.sqrt(6e3 / 2.0), rel=1e-6)
+    with pytest.raises(mbd.MbdError, match="observer"):
+        critical("turning", 6e3)
+
+
 def ziegler(k: float = 3.0, c: float = 0.2) -> mbd.System:
     """Two links of 1 m with 2 kg at their joint and 1 kg at the tip, springs and dampers in hinges, a force that follows."""
     first, second = (

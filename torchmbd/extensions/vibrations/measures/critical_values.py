@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import torch
@@ -114,8 +114,9 @@ class CriticalSpeed(OfVibrations):
     between   (lowest, highest) speed that is searched [rad/s], positive
     points    speeds of the grid, equally spaced; two crossings of one frequency between neighbors are missed
     axis, center   of the rotation, as of OfVibrations
-    observer  of no effect: a critical speed is one of a fixed observer. Rigid bodies and flexible beams are computed in axes
-              of the ground, bodies with modes in axes that turn with them: of these the bearings must be alike all around
+    observer  in whose axes rigid bodies and flexible beams are computed: "ground", or "turning" with the machine. The speed
+              is one of a fixed observer in both. Bodies with modes are computed in axes that turn with them. In these
+              axes the bearings must be alike all around
 
     Raises InputError where there are fewer, and for vibrations of blades and flat shafts, of which a fixed observer sees
     several frequencies. `CampbellClearance` has the orders of loads that a turning blade meets.
@@ -129,6 +130,7 @@ class CriticalSpeed(OfVibrations):
     """
 
     unit: ClassVar[str] = "rad/s"
+    observer: str = field(default=GROUND, kw_only=True)
     number: int = 1
     order: float = 1.0
     between: tuple[float, float] = (1.0, 1000.0)
@@ -147,11 +149,11 @@ class CriticalSpeed(OfVibrations):
     def shaft_of(self, system: System) -> Shaft:
         """The axis of rotation, with the observer in whose axes is computed."""
         modal = any(isinstance(body, FlexibleBody) for body in system.bodies)
-        return replace(self.shaft, observer=TURNING if modal else GROUND)
+        return replace(self.shaft, observer=TURNING if modal else self.observer)
 
     def _of_lane(self, system: System, designs: Designs) -> Tensor:
         shaft = self.shaft_of(system)
-        modal = shaft.observer == TURNING
+        turning = shaft.observer == TURNING
         last: list[SeenFromGround] = []
 
         def seen(speed: Tensor, designs: Designs, number: int, mean: bool) -> Tensor:
@@ -165,12 +167,12 @@ class CriticalSpeed(OfVibrations):
             return (4.0 * (w[1] + w[2]) - w[0] - w[3]) / 6.0
 
         def g(speed: Tensor, designs: Designs, number: int, mean: bool) -> Tensor:
-            if modal:
+            if turning:
                 return seen(speed, designs, number, mean) - self.order * speed
             states = steady_states(system, speed[None], shaft, designs)
             return states.eigenvalues(NATURAL, [number], mean=mean)[0, 0, 0] - self.order * speed
 
-        accuracy = _BESIDE**4 if modal else _ACCURACY
+        accuracy = _BESIDE**4 if turning else _ACCURACY
         return root(g, designs, lambda designs: self._bracket(system, designs, shaft), "the critical speed", accuracy)
 
     def _bracket(self, system: System, designs: Designs, shaft: Shaft) -> tuple[float, float, int]:
