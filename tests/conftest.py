@@ -44,6 +44,8 @@ from torchmbd.tracking.store import open_store
 os.environ["TORCHMBD_COMPILE"] = "0"
 # Code of small tests: to compile it with -O2 takes longer than to run it as it is.
 os.environ.setdefault("TORCHMBD_CXXFLAGS", "-O0")
+if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core
+    os.environ.setdefault("TORCHMBD_THREADS", "1")
 torch.set_num_threads(1)
 ROOT = Path(__file__).parent
 SECOND_TIER = {"contracts", "experiments"}  # folders whose tests CI runs; in the default suite they are not

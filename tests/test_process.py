@@ -7,10 +7,13 @@ import os
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import pytest
 
-from torchmbd.process import ONE_THREAD, brief_warnings, imports
+import torchmbd as mbd
+from torchmbd.errors import InputError
+from torchmbd.process import ONE_THREAD, _least_quota, brief_warnings, cores, imports, thread_count, worker_threads
 
 
 @pytest.mark.thorough
@@ -20,6 +23,67 @@ def test_a_process_has_one_thread_unless_the_environment_says_otherwise():
         environment = {key: value for key, value in os.environ.items() if key not in ONE_THREAD} | given
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
         assert done.stdout.split() == [expected]
+
+
+def test_the_number_of_threads_is_that_of_the_call_the_environment_or_the_cores(monkeypatch):
+    monkeypatch.delenv("TORCHMBD_THREADS", raising=False)
+    assert thread_count() == cores() <= (os.cpu_count() or 1)
+    assert worker_threads()["TORCHMBD_THREADS"] == "1"
+    monkeypatch.setenv("TORCHMBD_THREADS", "5")
+    assert thread_count() == 5
+    assert worker_threads()["TORCHMBD_THREADS"] == "5"
+    with mbd.threads(2):
+        assert thread_count() == 2
+        with mbd.threads(3):
+            assert thread_count() == 3
+        assert thread_count() == 2
+    assert thread_count() == 5
+    with mbd.threads(7):
+        mbd.threads(4)  # a statement alone holds from now on, to the end of the block around it
+        assert thread_count() == 4
+    assert thread_count() == 5
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, "two", True, None])
+def test_other_numbers_of_threads_are_refused(count):
+    with pytest.raises(InputError, match=rf"threads = {count!r}: must be an integer, 1 or more. Try: mbd.threads"):
+        mbd.threads(count)
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "1.5", "two", "", "\u0662"])
+def test_other_numbers_in_the_environment_are_refused_by_name(text, monkeypatch):
+    monkeypatch.setenv("TORCHMBD_THREADS", text)
+    with pytest.raises(InputError, match=rf"TORCHMBD_THREADS = {text!r}: must be an integer"):
+        thread_count()
+
+
+QUOTAS = {  # lines of /proc/self/cgroup, files, and the cores that they allow
+    "version 2": ("0::/a/b", {"a/b/cpu.max": "max 100000", "a/cpu.max": "250000 100000"}, 2.5),
+    "version 2 in a container": ("0::/", {"cpu.max": "50000 100000"}, 0.5),
+    "version 1": (
+        "4:memory:/m\n1:cpuacct,cpu:/a",
+        {"cpu/a/cpu.cfs_quota_us": "300000", "cpu/a/cpu.cfs_period_us": "100000"},
+        3.0,
+    ),
+    "no quota": (
+        "1:cpu:/\n0::/",
+        {"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000", "cpu.max": "max 100000"},
+        float("inf"),
+    ),
+    "a group outside of the container": ("1:cpu:/docker/1", {}, float("inf")),
+}
+
+
+@pytest.mark.parametrize("name", QUOTAS)
+def test_quotas_of_control_groups(name: str, tmp_path: Path):
+    groups, files, quota = QUOTAS[name]
+    (tmp_path / "groups").write_text(groups)
+    for path, text in files.items():
+        file = tmp_path / "fs" / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(f"{text}\n")
+    assert _least_quota(tmp_path / "groups", tmp_path / "fs") == quota
+    assert _least_quota(tmp_path / "none", tmp_path / "fs") == float("inf")
 
 
 GRADIENT = """

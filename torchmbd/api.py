@@ -105,6 +105,7 @@ from torchmbd.optimization import (
     sobol,
 )
 from torchmbd.optimization.multistart import multistart
+from torchmbd.process import threads
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory
 
@@ -282,6 +283,7 @@ __all__ = [
     "sobol",
     "spectral_function",
     "split",
+    "threads",
     "variable",
     "verify",
     "viz",

@@ -1,6 +1,7 @@
-"""How a process of torchmbd uses the machine: one thread, a folder for what serves all processes, brief warnings.
+"""How a process of torchmbd uses the machine: threads, a folder for what serves all processes, brief warnings.
 
-Checked in tests/test_process.py.
+Operators of torch run in one thread. Compiled code runs in `thread_count()` threads, and gives the same bits with any number.
+Checked in tests/test_process.py, tests/extensions/native/test_threads.py.
 """
 
 from __future__ import annotations
@@ -13,9 +14,14 @@ import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
+from torchmbd.errors import InputError
+
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+THREADS = "TORCHMBD_THREADS"
+_stated: list[int] = []  # the number of `threads`, if it was called
 
 
 def cache_folder() -> Path:
@@ -70,6 +76,79 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(count)
+
+
+class threads:
+    """Run compiled code in `count` threads of this process from now on, or only inside `with mbd.threads(count):`.
+
+    count   1 or more; more than the cores of this process are slower, not wrong
+
+    Without it the environment variable TORCHMBD_THREADS holds, and without that one `cores()`. Workers have one thread unless
+    TORCHMBD_THREADS is set. Results have the same bits with any number. Operators of torch, and laws in Python that compiled
+    code calls back, run in one thread: `motion.stats["threads"]`. Raises InputError for another count.
+    """
+
+    def __init__(self, count: int) -> None:
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise InputError(f"threads = {count!r}: must be an integer, 1 or more. Try: mbd.threads({cores()})")
+        self._before = _stated[:]
+        _stated[:] = [count]
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        _stated[:] = self._before
+
+
+def thread_count() -> int:
+    """Return the number of threads of compiled code; InputError where TORCHMBD_THREADS is not a positive integer."""
+    if _stated:
+        return _stated[0]
+    if (text := os.environ.get(THREADS)) is None:
+        return cores()
+    if not (text.isascii() and text.isdigit() and int(text)):
+        raise InputError(f"{THREADS} = {text!r}: must be an integer, 1 or more. Try: {THREADS}={cores()}")
+    return int(text)
+
+
+def worker_threads() -> dict[str, str]:
+    """Return the environment of workers, each of which has one thread unless the environment says otherwise."""
+    return ONE_THREAD | {THREADS: os.environ.get(THREADS, "1")}
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use, by its affinity and by the quota of its control groups."""
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, int(min(count, _least_quota())))
+
+
+@cache
+def _least_quota(groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")) -> float:
+    """Return the least quota [cores] of the control groups of this process and of those around them; inf without one.
+
+    A line of `groups` is number:controllers:path; version 2 names no controllers.
+    """
+    quotas = [float("inf")]
+    for line in groups.read_text().splitlines() if groups.is_file() else ():
+        _, controllers, path = line.split(":", 2)
+        if "cpu" in controllers.split(",") or not controllers:
+            base = root / "cpu" if controllers else root
+            folder = base / path.lstrip("/")
+            quotas += [_quota(place) for place in (folder, *folder.parents) if place.is_relative_to(base)]
+    return min(quotas)
+
+
+def _quota(group: Path) -> float:
+    """Return the quota [cores] of one control group, inf where it has none."""
+    for names in (["cpu.max"], ["cpu.cfs_quota_us", "cpu.cfs_period_us"]):  # versions 2 and 1
+        try:
+            quota, period = " ".join((group / name).read_text() for name in names).split()
+        except OSError:  # the other version, no such controller, or a group outside of this container
+            continue
+        if quota not in ("max", "-1"):
+            return float(quota) / float(period)
+    return float("inf")
 
 
 def brief_warnings() -> None:

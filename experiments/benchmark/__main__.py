@@ -8,6 +8,7 @@ Parts (default: all):
     multistart      a whole optimization from 32 starts
     study           the main job, warm and from an empty cache, by stages
     evaluate        evaluations with gradients of 1 to 128 designs beside the sum of their parts
+    cores           the same with one thread and two, one process and two; the share that is serial
     structure       structure stage with tangents
     variables       cost of one more variable
     batches         fixed cost of a batch, and cost of ply failure
@@ -34,7 +35,8 @@ Parts (default: all):
 
 One torch thread. Compiled code that is missing is built first (kept in the cache); not with --quick, which also takes smaller
 sizes. What was not measured is null. Processor times of one thread, the fastest of several runs taken in turns; wall times of
-multistart, study, start and compile. A part that fails says why, and the others go on; the exit code is then 1.
+cores, multistart, study, start and compile, with as many threads of compiled code as there are cores. A part that fails says
+why, and the others go on; the exit code is then 1.
 """
 
 from __future__ import annotations
@@ -58,6 +60,7 @@ from experiments.benchmark.batches import batches
 from experiments.benchmark.beams import beams
 from experiments.benchmark.campbell import campbell
 from experiments.benchmark.chosen_steps import chosen_steps
+from experiments.benchmark.cores import cores
 from experiments.benchmark.errors import errors
 from experiments.benchmark.evaluate import evaluate
 from experiments.benchmark.integrators import work_precision
@@ -77,6 +80,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "multistart": multistart,
     "study": study,
     "evaluate": evaluate,
+    "cores": cores,
     "structure": costs.structure,
     "variables": costs.variables,
     "batches": batches,
@@ -114,6 +118,8 @@ FIGURES = (
     "study_cold_s",
     "evaluate_ms",
     "evaluate_ratio",
+    "cores_ratio",
+    "cores_serial",
     "structure_ms",
     "structure_reverse_ms",
     "batch_fixed_ms",

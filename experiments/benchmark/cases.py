@@ -228,7 +228,8 @@ def interleaved(functions: Mapping[str, Callable[[], object]], repeat: int) -> d
     seconds: dict[str, list[float]] = {name: [] for name in functions}
     for _ in range(repeat):
         for name, function in functions.items():
-            start = time.process_time()
-            spent = function()
-            seconds[name].append(spent if isinstance(spent, float) else time.process_time() - start)
+            with mbd.threads(1):
+                start = time.process_time()
+                spent = function()
+                seconds[name].append(spent if isinstance(spent, float) else time.process_time() - start)
     return {name: min(times) for name, times in seconds.items()}

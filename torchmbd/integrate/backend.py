@@ -63,6 +63,10 @@ class Backend:
         """Unknowns [n, 1, lanes] of a step, and the sizes of its last two corrections [2, lanes]; None: variable_step.py."""
         return None
 
+    def threads(self, dynamics: Dynamics, work: Sequence[str]) -> int:
+        """The number of threads that do this work for all lanes."""
+        return 1
+
     def right_hand_side(self, dynamics: Dynamics) -> RightHandSide:
         """dy/dt of augmented states (ode.py)."""
         return RightHandSide(dynamics)

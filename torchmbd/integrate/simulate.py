@@ -70,7 +70,8 @@ def simulate(
                 halvings, and checkpoint=k, which keeps every k-th state; torchdiffeq: rtol, atol, options
 
     `status` reports a lane that fails; it is nan from there on and adds nothing to a gradient. `status` also reports a lane
-    whose steps do not resolve its vibrations; this lane has all numbers. `stats` has the mode of gradients and the backend.
+    whose steps do not resolve its vibrations; this lane has all numbers. `stats` has the mode of gradients, the backend and
+    the number of threads that made the steps.
     Threads that simulate wait for each other: use processes, or lanes. Raises InputError for bad arguments.
 
     >>> motion = mbd.simulate(mbd.examples.arm(), duration=0.1, steps=40)

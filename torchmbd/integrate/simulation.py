@@ -35,6 +35,7 @@ from torchmbd.integrate.arguments import (
     seconds_of,
     start_of,
 )
+from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.forward_integration import ForwardIntegration
 from torchmbd.integrate.integrated_trajectory import at_moving_times, plain, trajectory_of
 from torchmbd.integrate.integrator import Integrator
@@ -236,7 +237,9 @@ class Simulation(Summary):
                 motion = self._with_tangents(prepared, batch, names)
             else:
                 motion = self._with_adjoint(prepared, batch, names, self.duration if by_duration else seconds)
-            motion.stats["backend"] = motion.integration.dynamics.backend
+            dynamics = motion.integration.dynamics
+            motion.stats["backend"] = dynamics.backend
+            motion.stats["threads"] = backend_of(dynamics).threads(dynamics, integrator.work)
             mode = "forward" if forward else "reverse"
             motion.stats["gradients"] = mode if names or by_times or start.is_differentiated else "none"
             with torch.no_grad():
@@ -254,7 +257,7 @@ class Simulation(Summary):
                 designs={name: x.detach() for name, x in design_values.items()},
                 integrator=integrator,
                 steps=motion.integration.steps or len(motion.t) - 1,
-                multiple=rounding(integrator, motion.integration.dynamics, seconds)(1),
+                multiple=rounding(integrator, dynamics, seconds)(1),
                 parameters={name: x.detach().clone() for name, x in self.system.named_parameters()},
             )
             return motion

@@ -28,7 +28,7 @@ from typing import Annotated, Any
 from pydantic import Field, PositiveInt
 
 from torchmbd.errors import InputError, nearest
-from torchmbd.process import ONE_THREAD
+from torchmbd.process import worker_threads
 from torchmbd.study.file_errors import Fault, StudyError, located
 from torchmbd.study.paths import make_studies_folder
 from torchmbd.study.schema import Section
@@ -72,7 +72,7 @@ class Slurm(Section):
             job_name="torchmbd",
             job_extra_directives=self.directives,
             job_script_prologue=[
-                *(f"export {name}={value}" for name, value in ONE_THREAD.items()),
+                *(f"export {name}={value}" for name, value in worker_threads().items()),
                 *self.setup,
             ],
             log_directory=str(folder / "jobs"),

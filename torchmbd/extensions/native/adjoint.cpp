@@ -8,7 +8,8 @@
 //   signals           what laws that are called back read, and
 //   pull_signals_unknowns, pull_signals_known: its derivatives by z, by x and data
 // Strengths and slopes of such laws are known at all steps before; what they read there, from a first call (`read`).
-// If factors cannot be relied on, `adjoint` returns 1 and its results mean nothing.
+// `adjoint` works on blocks from `begin` to `end`, which share nothing, with scratch memory of the thread.
+// If factors cannot be relied on, it returns 1 and its results mean nothing.
 
 constexpr int MOST = 12;                   // corrections of mu, as in adjoint.py
 constexpr long CHECK = 25;                 // steps between two checks of the factors, as in stepper.py
@@ -29,7 +30,6 @@ struct Job {
   double *slopes, *moved_slopes;                   // [block][rows][data][LANES], [steps][block][rows][moving][LANES], zeros
   double *state_slopes;                            // [block][rows][N_X][LANES], in: by the last state, out: by the first
   double *error;                                   // [block][LANES], estimated relative error of mu
-  double *scratch;
   long moved_columns, corrections;                 // 1 + any; of mu, at least
   const Mechanism *mechanism;
   long read;                                       // only the signals are wanted: no rows, no strengths
@@ -71,14 +71,14 @@ static void take(const Job& J, const Parts& p, long i, long s, long block, int v
       y[p.at[k] + n] += get(J.of_motion[k] + ((i * p.count[k] + n) * J.rows + s) * J.lanes + block * LANES, valid);
 }
 
-extern "C" long adjoint(const Job* job) {
+extern "C" long adjoint(const Job* job, long begin, long end, double* scratch) {
   const Job& J = *job;
   const long S = J.rows, blocks = (J.lanes + LANES - 1) / LANES;
   const Mechanism& m = *J.mechanism;
   const Counts c(m);
   const Parts p(c);
   const long N_ = c.unknowns, n_x = c.n_x;
-  V* w = (V*)J.scratch;
+  V* w = (V*)scratch;
   V *K = w + c.scratch, *entries = K + m.size, *mu = entries + c.entries, *goal = mu + N_, *R = goal + N_, *z = R + N_;
   V *x = z + N_, *before_y = x + n_x, *ys = before_y + n_x, *as = ys + S * n_x, *worth = as + (J.steps + 1) * c.n_v;
   In in;
@@ -86,7 +86,7 @@ extern "C" long adjoint(const Job* job) {
   in.entries = entries;
   in.mu = mu;
   in.z = z;
-  for (long block = 0; block < blocks; block++) {
+  for (long block = begin; block < end; block++) {
     const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
     V *values = (V*)J.values + block * J.data, *slopes = (V*)J.slopes + block * S * J.data;
     V worst = spread(0.0);

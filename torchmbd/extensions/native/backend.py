@@ -15,7 +15,7 @@ from torchmbd.extensions.native import steps_of_size
 from torchmbd.extensions.native.backward import NativeAdjointSolver
 from torchmbd.extensions.native.codegen import build_cache
 from torchmbd.extensions.native.codegen.compiler import compilation_wanted
-from torchmbd.extensions.native.library import library, obstacle
+from torchmbd.extensions.native.library import calls_back, library, obstacle, threads_of
 from torchmbd.extensions.native.rates import NativeRightHandSide
 from torchmbd.extensions.native.steps import NativeStepper
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid
@@ -51,6 +51,11 @@ class NativeBackend(Backend):
 
     def unknowns(self, dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
         return steps_of_size.unknowns(dynamics, step)
+
+    def threads(self, dynamics: Dynamics, work: Sequence[str]) -> int:
+        if "step" not in work or calls_back(dynamics):
+            return 1
+        return threads_of(dynamics.lanes)
 
     def right_hand_side(self, dynamics: Dynamics) -> RightHandSide:
         has_code = not (dynamics.redundant or dynamics.topology.varying_primitives)

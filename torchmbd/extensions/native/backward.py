@@ -1,12 +1,13 @@
 """The adjoint through equal steps by compiled code (adjoint.cpp): the same numbers as AdjointSolver.
 
-Checked in tests/sensitivity/test_adjoint.py.
+Threads share the blocks of lanes (threads.py).
+Checked in tests/sensitivity/test_adjoint.py, tests/extensions/native/test_threads.py.
 """
 
 from __future__ import annotations
 
 import ctypes
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from torch import Tensor
@@ -21,6 +22,7 @@ from torchmbd.extensions.native.simd_layout import (
     prescribed_blocks,
     varied_blocks,
 )
+from torchmbd.extensions.native.threads import run_blocks
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Cotangents, Grid, MotionCotangents, rows_of
 from torchmbd.integrate.lanes import expanded
 from torchmbd.math.pair import value
@@ -29,7 +31,7 @@ from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "rows", "data", "prescribed", "steps", "moving")
 _ARRAYS = ("shared", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
-_ARRAYS += ("row_mask", "diagonal_shift", "negligible", "slopes", "moved_slopes", "state_slopes", "error", "scratch")
+_ARRAYS += ("row_mask", "diagonal_shift", "negligible", "slopes", "moved_slopes", "state_slopes", "error")
 
 
 class _Job(ctypes.Structure):
@@ -81,9 +83,6 @@ class NativeAdjointSolver(AdjointSolver):
         new = self.values.new_zeros
         slopes, moved_slopes = new(count, rows, data, LANES), new(len(steps), count, rows, moving, LANES)
         state_slopes, error = blocks(torch.cat([expanded(x, lanes) for x in y])), new(count, LANES)
-        scratch = torch.empty(
-            self.code.adjoint_scratch(self.library.address, rows, len(steps)) // 8, dtype=torch.float64
-        )
         names, (row_mask, diagonal_shift) = ("q", "v", "vd", "lam"), self.stepper.diagonal or (None, None)
         arrays: dict[str, Tensor | None] = {"shared": table, "values": self.values, "moved": moved}
         arrays |= {name: x.contiguous() for name, x in zip(names, h.states, strict=True)}
@@ -91,7 +90,7 @@ class NativeAdjointSolver(AdjointSolver):
         arrays |= {f"{name}_bar": x for name, x in zip(names, bars, strict=True)}
         arrays |= {"start": blocks(expanded(a, lanes)), "row_mask": row_mask, "diagonal_shift": diagonal_shift}
         arrays |= {"negligible": self.negligible, "slopes": slopes, "moved_slopes": moved_slopes}
-        arrays |= {"state_slopes": state_slopes, "error": error, "scratch": scratch}
+        arrays |= {"state_slopes": state_slopes, "error": error}
         job = _Job(
             lanes=lanes,
             rows=rows,
@@ -104,8 +103,9 @@ class NativeAdjointSolver(AdjointSolver):
             mechanism=self.library.address,
             **addresses(arrays),
         )
+        job.kept = [arrays]
         called, of_strengths = self._called(job, schedule) if self.library.called.actions else (None, new(0))
-        if self.code.adjoint(ctypes.byref(job)):
+        if self._run(job):
             self.code = None
             return super()._segment(number, of_motion, y)
         start = lanes_out(state_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
@@ -114,6 +114,12 @@ class NativeAdjointSolver(AdjointSolver):
         by |= called.cotangents(_lanes(of_strengths, lanes)) if called else {}
         return Cotangents(by, laws, State(*start)), error.flatten()[:lanes]
 
+    def _run(self, job: _Job) -> int:
+        """The steps of a job backwards; 1 where factors cannot be relied on."""
+        assert self.code is not None
+        blocks, scratch = len(self.values), self.code.adjoint_scratch(job.mechanism, job.rows, job.steps)
+        return run_blocks(partial(self.code.adjoint, ctypes.byref(job)), blocks, scratch=scratch)
+
     def _called(self, job: _Job, schedule: Schedule) -> tuple[FeedbackAdjoint, Tensor]:
         """Laws that are called back, and an array for the cotangents of their strengths [steps, block, rows, n, LANES]."""
         assert self.code is not None
@@ -121,7 +127,7 @@ class NativeAdjointSolver(AdjointSolver):
         n = len(laws.actions)
         signals, of_strengths = (self.values.new_zeros(steps, count, *some, LANES) for some in ((2 * n,), (rows, n)))
         job.signals, job.rows, job.read = signals.data_ptr(), 0, 1
-        self.code.adjoint(ctypes.byref(job))
+        self._run(job)
         job.rows, job.read = rows, 0
         data, times = self.grid.dynamics.data, schedule.t
         variables = {name for name, x in data.items() if value(x).requires_grad}
@@ -131,7 +137,7 @@ class NativeAdjointSolver(AdjointSolver):
         arrays["strength_bars"] = of_strengths
         for name, address in addresses(arrays).items():
             setattr(job, name, address)
-        job.kept = arrays
+        job.kept.append(arrays)
         return adjoint, of_strengths
 
 

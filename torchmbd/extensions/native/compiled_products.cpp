@@ -1,6 +1,7 @@
 // Products with a few columns, one design after another, so that the numbers of a design stay in the cache of the processor.
 // See compiled_products.py.
 //
+// Functions work on lanes from `begin` to `end`, which share nothing: threads call them for ranges of their own.
 // Arrays are row-major and [lane][row][column]. Inside, columns are padded with zeros to a multiple of eight.
 // A tile keeps R rows of W x WIDTH columns of a product in registers; for wide matrices arithmetic is then the bottleneck.
 
@@ -22,7 +23,7 @@ typedef std::vector<double> Buffer;
 constexpr double TINY = 2.2250738585072014e-308, STAYS = 1e-2;  // as in sparse_modes.py
 
 struct Factor {  // of a block-tridiagonal matrix, as in blocks.py
-  long lanes, blocks;
+  long blocks;
   const long* bounds;  // [blocks + 1]
   double* at;          // [lane][S_0^-1 ..., E_0 ...], S_i^-1 [s_i][s_i], E_i [s_(i+1)][s_i]
   long size() const { return bounds[blocks]; }
@@ -223,11 +224,11 @@ struct Columns {
 }  // namespace
 
 // Overwrites D_i and B_i by S_i^-1 and E_i: BlockFactor of blocks.py. pivot [lane]: the smallest, relative to the diagonal.
-extern "C" void factorize(const Factor* f, double* pivot) {
+extern "C" void factorize(long begin, long end, const Factor* f, double* pivot) {
   long most = 0;
   for (long b = 0; b < f->blocks; b++) most = std::max(most, f->rows(b));
   Buffer S(most * padded(most)), B(most * padded(most)), E(most * padded(most)), diagonal(most), found(most);
-  for (long lane = 0; lane < f->lanes; lane++) {
+  for (long lane = begin; lane < end; lane++) {
     double *D = f->lane(lane), *lower = D + f->start(0, true);
     pivot[lane] = HUGE_VAL;
     for (long b = 0; b < f->blocks; b++) {
@@ -259,10 +260,10 @@ extern "C" void factorize(const Factor* f, double* pivot) {
 }
 
 // out [lane][N][p] = A^-1 X.
-extern "C" void solve(const Factor* f, const double* X, double* out, long p) {
+extern "C" void solve(long begin, long end, const Factor* f, const double* X, double* out, long p) {
   const long N = f->size(), P = padded(p);
   Buffer y(N * P), x(N * P);
-  for (long lane = 0; lane < f->lanes; lane++) {
+  for (long lane = begin; lane < end; lane++) {
     pad_columns(X + lane * N * p, y.data(), N, p);
     solve_lane(*f, lane, y.data(), x.data(), P);
     unpad_columns(x.data(), out + lane * N * p, N, p);
@@ -272,11 +273,11 @@ extern "C" void solve(const Factor* f, const double* X, double* out, long p) {
 // Steps `from` to `to` of block Lanczos for H = G A^-1 G, as `_extend` of lanczos.py: the next block X [lane][N][p] becomes
 // columns of Q [lane][N][room], the components of H X along Q become columns of T [lane][room][room]; X R, with R
 // [lane][p][p], is the remainder of H X.
-extern "C" void lanczos(const Factor* f, const double* G, long from, long to, long room, long p, double* Q, double* T,
+extern "C" void lanczos(long begin, long end, const Factor* f, const double* G, long from, long to, long room, long p, double* Q, double* T,
                         double* X, double* R) {
   const long N = f->size(), P = padded(p), most = to * p;
   Buffer x(N * P), y(N * P), w(N * P), some(most * P), all(most * P), r(p * P), second(p * P);
-  for (long lane = 0; lane < f->lanes; lane++) {
+  for (long lane = begin; lane < end; lane++) {
     const double* g = G + lane * N;
     double *basis = Q + lane * N * room, *t = T + lane * room * room;
     pad_columns(X + lane * N * p, x.data(), N, p);
@@ -305,11 +306,11 @@ extern "C" void lanczos(const Factor* f, const double* G, long from, long to, lo
 }
 
 // out [lane][t][nnz] = Y X' at the entries of a pattern, for Y [lane][T][N][p] and X [lane][N][p].
-extern "C" void products_at_pattern(long lanes, long T, long N, const int* start, const int* column, const double* Y,
+extern "C" void products_at_pattern(long begin, long end, long T, long N, const int* start, const int* column, const double* Y,
                                     const double* X, double* out, long p) {
   const long P = padded(p), nnz = start[N];
   Buffer x(N * P), y(N * P);
-  for (long lane = 0; lane < lanes; lane++) {
+  for (long lane = begin; lane < end; lane++) {
     pad_columns(X + lane * N * p, x.data(), N, p);
     for (long t = lane * T; t < (lane + 1) * T; t++) {
       pad_columns(Y + t * N * p, y.data(), N, p);
@@ -326,11 +327,11 @@ extern "C" void products_at_pattern(long lanes, long T, long N, const int* start
 }
 
 // out [lane][T][N][p] = K X for values [lane][T][nnz] on one pattern and X [lane][N][p].
-extern "C" void multiply_sparse(long lanes, long T, long N, const int* start, const int* column, const double* values,
+extern "C" void multiply_sparse(long begin, long end, long T, long N, const int* start, const int* column, const double* values,
                                 const double* X, double* out, long p) {
   const long P = padded(p), nnz = start[N];
   Buffer x(N * P), z(N * P);
-  for (long lane = 0; lane < lanes; lane++) {
+  for (long lane = begin; lane < end; lane++) {
     pad_columns(X + lane * N * p, x.data(), N, p);
     for (long t = lane * T; t < (lane + 1) * T; t++) {
       for (long i = 0; i < N; i++)
@@ -347,11 +348,11 @@ extern "C" void multiply_sparse(long lanes, long T, long N, const int* start, co
 // Conjugate gradients for (1 - H / mu) y = c among vectors orthogonal to U, H = G A^-1 G: `_conjugate_gradients` of
 // sparse_modes.py. y [lane][N][p] in and out, r its residual, U [lane][N][n], G [lane][N], target and inverse_mu [lane][p].
 // Returns 1 if a lane needs more than `most` steps.
-extern "C" long conjugate_gradients(const Factor* f, const double* G, const double* U, long n, const double* inverse_mu,
+extern "C" long conjugate_gradients(long begin, long end, const Factor* f, const double* G, const double* U, long n, const double* inverse_mu,
                                     const double* target, double* y, const double* r, long p, long most) {
   const long N = f->size(), full = padded(p);
   Buffer inside(n * full);
-  for (long lane = 0; lane < f->lanes; lane++) {
+  for (long lane = begin; lane < end; lane++) {
     Columns c{N, full};
     for (Buffer* x : {&c.y, &c.r, &c.Hd, &c.work}) x->resize(N * full);
     for (Buffer* x : {&c.square, &c.target, &c.inverse_mu, &c.step}) x->resize(full);
@@ -418,42 +419,46 @@ static void outer(const double* d, const double* e, long r, long s, long a, long
 constexpr long POINTS = 32;  // points whose products fit into the cache
 
 // out [lane][k][a][a] = sum over points and i <= j of law [lane][k][point][ij] times the rows of `outer`; d, e [lane][point][r][s][a].
-extern "C" void quadratic_forms(long lanes, long k, long points, long r, long s, long a, const double* law, const double* d,
+extern "C" void quadratic_forms(long begin, long end, long k, long points, long r, long s, long a, const double* law, const double* d,
                                 const double* e, double* out) {
   const long A = padded(a), ij = r * (r + 1) / 2, one = r * s * a;
   Buffer left(r * s * A), right(r * s * A), rows(POINTS * ij * a * A), sum(k * a * A);
-  for (long lane = 0; lane < lanes; lane++, law += k * points * ij, d += points * one, e += points * one) {
+  for (long lane = begin; lane < end; lane++) {
+    const double *laws = law + lane * k * points * ij, *ds = d + lane * points * one, *es = e + lane * points * one;
+    double* to = out + lane * k * a * a;
     std::fill(sum.begin(), sum.end(), 0.0);
     for (long first = 0; first < points; first += POINTS) {
       const long count = std::min(POINTS, points - first);
       for (long p = 0; p < count; p++) {
-        pad_columns(d + (first + p) * one, left.data(), r * s, a);
-        if (e != d) pad_columns(e + (first + p) * one, right.data(), r * s, a);
+        pad_columns(ds + (first + p) * one, left.data(), r * s, a);
+        if (e != d) pad_columns(es + (first + p) * one, right.data(), r * s, a);
         outer(left.data(), e == d ? left.data() : right.data(), r, s, a, A, &rows[p * ij * a * A]);
       }
-      product<true>(k, count * ij, {law + first * ij, points * ij, 1}, rows.data(), sum.data(), a * A);
+      product<true>(k, count * ij, {laws + first * ij, points * ij, 1}, rows.data(), sum.data(), a * A);
     }
     for (long i = 0; i < k * a; i++)
-      for (long j = 0; j < a; j++) *out++ = -sum[i * A + j];
+      for (long j = 0; j < a; j++) *to++ = -sum[i * A + j];
   }
 }
 
 // The derivatives of sum G . quadratic_forms, G [lane][k][a][a] symmetric, by law and by d where e is d.
-extern "C" void quadratic_slopes(long lanes, long k, long points, long r, long s, long a, const double* law, const double* d,
+extern "C" void quadratic_slopes(long begin, long end, long k, long points, long r, long s, long a, const double* law, const double* d,
                                  const double* G, double* by_law, double* by_d) {
   const long A = padded(a), K = padded(k), ij = r * (r + 1) / 2, one = r * s * a;
   Buffer own(r * s * A), turned(r * s * A), rows(POINTS * ij * a * A), H(POINTS * ij * a * A), pairs(POINTS * ij * K);
   Buffer weights(k * a * A), across(a * A * K);
-  for (long lane = 0; lane < lanes; lane++, law += k * points * ij, by_law += k * points * ij, G += k * a * a) {
-    pad_columns(G, weights.data(), k * a, a);
+  for (long lane = begin; lane < end; lane++) {
+    const double *laws = law + lane * k * points * ij, *from = d + lane * points * one;
+    double *by_laws = by_law + lane * k * points * ij, *to = by_d + lane * points * one;
+    pad_columns(G + lane * k * a * a, weights.data(), k * a, a);
     std::fill(across.begin(), across.end(), 0.0);
     for (long n = 0; n < k; n++)
       for (long i = 0; i < a * A; i++) across[i * K + n] = weights[n * a * A + i];
     for (long first = 0; first < points; first += POINTS) {
       const long count = std::min(POINTS, points - first);
-      product<false>(count * ij, k, {law + first * ij, 1, points * ij}, weights.data(), H.data(), a * A);
-      for (long p = 0; p < count; p++, d += one, by_d += one) {
-        pad_columns(d, own.data(), r * s, a);
+      product<false>(count * ij, k, {laws + first * ij, 1, points * ij}, weights.data(), H.data(), a * A);
+      for (long p = 0; p < count; p++, from += one, to += one) {
+        pad_columns(from, own.data(), r * s, a);
         outer(own.data(), own.data(), r, s, a, A, &rows[p * ij * a * A]);
         std::fill(turned.begin(), turned.end(), 0.0);
         const double* h = &H[p * ij * a * A];
@@ -466,29 +471,29 @@ extern "C" void quadratic_slopes(long lanes, long k, long points, long r, long s
                   *(V*)&turned[(i * s + t) * A + q] += own[(j * s + t) * A + b] * along;
                   *(V*)&turned[(j * s + t) * A + q] += own[(i * s + t) * A + b] * along;
                 }
-        unpad_columns(turned.data(), by_d, r * s, a);
+        unpad_columns(turned.data(), to, r * s, a);
       }
       product<false>(count * ij, a * A, {rows.data(), a * A, 1}, across.data(), pairs.data(), K);
       for (long n = 0; n < k; n++)
-        for (long i = 0; i < count * ij; i++) by_law[n * points * ij + first * ij + i] = pairs[i * K + n];
+        for (long i = 0; i < count * ij; i++) by_laws[n * points * ij + first * ij + i] = pairs[i * K + n];
     }
   }
 }
 
 // y [lane][rows]: of every row the sum of x [lane][size] over its terms, those from start[row] on.
-extern "C" void sums(long lanes, long rows, long size, const long* start, const long* term, const double* x, double* y) {
-  for (long lane = 0; lane < lanes; lane++, x += size, y += rows)
+extern "C" void sums(long begin, long end, long rows, long size, const long* start, const long* term, const double* x, double* y) {
+  for (long lane = begin; lane < end; lane++)
     for (long k = 0; k < rows; k++) {
       double sum = 0.0;
-      for (long e = start[k]; e < start[k + 1]; e++) sum += x[term[e]];
-      y[k] = sum;
+      for (long e = start[k]; e < start[k + 1]; e++) sum += x[lane * size + term[e]];
+      y[lane * rows + k] = sum;
     }
 }
 
 // The transpose, added to x [lane][size].
-extern "C" void transposed_sums(long lanes, long rows, long size, const long* start, const long* term, const double* y,
+extern "C" void transposed_sums(long begin, long end, long rows, long size, const long* start, const long* term, const double* y,
                                 double* x) {
-  for (long lane = 0; lane < lanes; lane++, x += size, y += rows)
+  for (long lane = begin; lane < end; lane++)
     for (long k = 0; k < rows; k++)
-      for (long e = start[k]; e < start[k + 1]; e++) x[term[e]] += y[k];
+      for (long e = start[k]; e < start[k + 1]; e++) x[lane * size + term[e]] += y[lane * rows + k];
 }

@@ -1,7 +1,7 @@
 """Products of the structure stage (math/products.py) as compiled code (compiled_products.cpp): one design after another.
 
 torch computes each operation for a whole batch of designs, which does not fit into the cache of the processor; one design
-after another does, and there is no call for each block.
+after another does, and there is no call for each block. Threads share the designs of a batch (threads.py).
 `compiled_products` returns None if there is no compiled code (no compiler, switched off, another device): torch is used then.
 Checked in tests/extensions/native/test_compiled_products.py.
 """
@@ -10,15 +10,18 @@ from __future__ import annotations
 
 import ctypes
 from ctypes import POINTER, byref, c_long, c_void_p
+from itertools import pairwise
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.extensions.native.codegen.compiler import Native
+from torchmbd.extensions.native.threads import run_blocks
 from torchmbd.math.products import Factor, Products
 from torchmbd.math.sparse import Pattern
 
+SMALL = 1_000_000  # products that take less time than to wake another thread, about 0.1 ms
 _native = Native("extensions/native/compiled_products.cpp")
 
 
@@ -26,7 +29,6 @@ class _Factor(ctypes.Structure):
     """The struct of this name in compiled_products.cpp: fields, order and types are the same."""
 
     _fields_ = (
-        ("lanes", c_long),
         ("blocks", c_long),
         ("bounds", POINTER(c_long)),
         ("at", c_void_p),
@@ -43,7 +45,7 @@ def _struct(factor: Factor) -> Any:
     """What a library takes of a factorization, made once for it."""
     if factor.struct is None:
         n = len(factor.bounds)
-        factor.struct = byref(_Factor(len(factor.flat), n - 1, (c_long * n)(*factor.bounds), factor.flat.data_ptr()))
+        factor.struct = byref(_Factor(n - 1, (c_long * n)(*factor.bounds), factor.flat.data_ptr()))
     return factor.struct
 
 
@@ -52,66 +54,81 @@ class CompiledProducts(Products):
 
     def __init__(self, code: ctypes.CDLL) -> None:
         self._code = code
-        code.conjugate_gradients.restype = c_long
+
+    def _run(self, name: str, lanes: int, work: int, *arguments: Any) -> int:
+        """Call a function for all lanes, on threads where it multiplies more than `work` numbers in each; its status."""
+        function = getattr(self._code, name)
+        function.restype = c_long if name == "conjugate_gradients" else None  # the others have no status
+
+        def run(begin: int, end: int, _: int) -> int | None:
+            return function(c_long(begin), c_long(end), *arguments)
+
+        return run_blocks(run, lanes, None if lanes * work > SMALL else 1)
 
     def factorize(self, factor: Factor) -> Tensor:
         pivot = torch.empty(len(factor.flat), dtype=torch.float64)
-        self._code.factorize(_struct(factor), *_pointers(pivot))
+        self._run("factorize", len(pivot), _size(factor) * _width(factor), _struct(factor), *_pointers(pivot))
         return pivot
 
     def solve(self, factor: Factor, X: Tensor) -> Tensor:
         X = X.contiguous()
         out = torch.empty_like(X)
-        self._code.solve(_struct(factor), *_pointers(X, out), c_long(X.shape[2]))
+        columns = X.shape[2]
+        self._run("solve", len(X), _size(factor) * columns, _struct(factor), *_pointers(X, out), c_long(columns))
         return out
 
     def lanczos(
         self, factor: Factor, G: Tensor, start: int, end: int, Q: Tensor, T: Tensor, X: Tensor, R: Tensor
     ) -> None:
         assert all(x.is_contiguous() for x in (G, Q, T, X, R))
-        numbers = map(c_long, (start, end, Q.shape[2], X.shape[2]))
-        self._code.lanczos(_struct(factor), *_pointers(G), *numbers, *_pointers(Q, T, X, R))
+        room, p = Q.shape[2], X.shape[2]
+        work = (end - start) * p * (_size(factor) + 4 * Q.shape[1] * end * p)
+        numbers = map(c_long, (start, end, room, p))
+        self._run("lanczos", len(Q), work, _struct(factor), *_pointers(G), *numbers, *_pointers(Q, T, X, R))
 
     def multiply_sparse(self, pattern: Pattern, values: Tensor, X: Tensor) -> Tensor:
         (lanes, T, _), values, X = values.shape, values.contiguous(), X.contiguous()
         out = X.new_empty(lanes, T, *X.shape[1:])
-        indices = c_void_p(pattern.indptr.ctypes.data), c_void_p(pattern.indices.ctypes.data)
-        numbers = map(c_long, (lanes, T, pattern.size))
-        self._code.multiply_sparse(*numbers, *indices, *_pointers(values, X, out), c_long(X.shape[2]))
+        numbers, indices, columns = map(c_long, (T, pattern.size)), _indices(pattern), X.shape[2]
+        work = T * pattern.nnz * columns
+        self._run("multiply_sparse", lanes, work, *numbers, *indices, *_pointers(values, X, out), c_long(columns))
         return out
 
     def products_at_pattern(self, pattern: Pattern, Y: Tensor, X: Tensor) -> Tensor:
         (lanes, T, N, p), Y, X = Y.shape, Y.contiguous(), X.contiguous()
         out = X.new_empty(lanes, T, pattern.nnz)
-        indices = c_void_p(pattern.indptr.ctypes.data), c_void_p(pattern.indices.ctypes.data)
-        self._code.products_at_pattern(*map(c_long, (lanes, T, N)), *indices, *_pointers(Y, X, out), c_long(p))
+        numbers, indices = map(c_long, (T, N)), _indices(pattern)
+        work = T * pattern.nnz * p
+        self._run("products_at_pattern", lanes, work, *numbers, *indices, *_pointers(Y, X, out), c_long(p))
         return out
 
     def sums(self, start: Tensor, terms: Tensor, x: Tensor) -> Tensor:
         x = x.contiguous()
         out = x.new_empty(len(x), len(start) - 1)
-        self._code.sums(*map(c_long, (len(x), len(start) - 1, x.shape[1])), *_pointers(start, terms, x, out))
+        numbers = map(c_long, (out.shape[1], x.shape[1]))
+        self._run("sums", len(x), len(terms), *numbers, *_pointers(start, terms, x, out))
         return out
 
     def transposed_sums(self, start: Tensor, terms: Tensor, y: Tensor, size: int) -> Tensor:
         y = y.contiguous()
         out = y.new_zeros(len(y), size)
-        self._code.transposed_sums(*map(c_long, (len(y), len(start) - 1, size)), *_pointers(start, terms, y, out))
+        numbers = map(c_long, (len(start) - 1, size))
+        self._run("transposed_sums", len(y), len(terms), *numbers, *_pointers(start, terms, y, out))
         return out
 
     def quadratic_forms(self, law: Tensor, d: Tensor, e: Tensor) -> Tensor:
         same, law, d = e is d, law.contiguous(), d.contiguous()
         e = d if same else e.contiguous()
         out = d.new_empty(len(law), law.shape[1], d.shape[-1], d.shape[-1])
-        numbers = map(c_long, (len(law), *law.shape[1:3], *d.shape[2:]))
-        self._code.quadratic_forms(*numbers, *_pointers(law, d, e, out))
+        numbers = map(c_long, (*law.shape[1:3], *d.shape[2:]))
+        self._run("quadratic_forms", len(law), _products(law, d), *numbers, *_pointers(law, d, e, out))
         return out
 
     def quadratic_slopes(self, law: Tensor, d: Tensor, G: Tensor) -> tuple[Tensor, Tensor]:
         law, d, G = law.contiguous(), d.contiguous(), G.contiguous()
         by_law, by_d = torch.empty_like(law), torch.empty_like(d)
-        numbers = map(c_long, (len(law), *law.shape[1:3], *d.shape[2:]))
-        self._code.quadratic_slopes(*numbers, *_pointers(law, d, G, by_law, by_d))
+        numbers = map(c_long, (*law.shape[1:3], *d.shape[2:]))
+        self._run("quadratic_slopes", len(law), _products(law, d), *numbers, *_pointers(law, d, G, by_law, by_d))
         return by_law, by_d
 
     def conjugate_gradients(
@@ -120,11 +137,29 @@ class CompiledProducts(Products):
         assert y.is_contiguous()
         kept = [x.contiguous() for x in (G, U, inverse_mu, target, r)]
         G_, U_, mu, limit, rest = _pointers(*kept)
-        sizes = c_long(U.shape[2]), c_long(y.shape[2]), c_long(most)
-        return not self._code.conjugate_gradients(
-            _struct(factor), G_, U_, sizes[0], mu, limit, *_pointers(y), rest, *sizes[1:]
-        )
+        columns = y.shape[2]
+        arguments = _struct(factor), G_, U_, c_long(U.shape[2]), mu, limit, *_pointers(y), rest, c_long(columns)
+        return not self._run("conjugate_gradients", len(y), _size(factor) * columns, *arguments, c_long(most))
 
 
 def _pointers(*tensors: Tensor) -> list[c_void_p]:
     return [c_void_p(x.data_ptr()) for x in tensors]
+
+
+def _indices(pattern: Pattern) -> tuple[c_void_p, c_void_p]:
+    return c_void_p(pattern.indptr.ctypes.data), c_void_p(pattern.indices.ctypes.data)
+
+
+def _size(factor: Factor) -> int:
+    """The numbers of a factor, each of which a solution multiplies about once for each column."""
+    return factor.flat.shape[1]
+
+
+def _width(factor: Factor) -> int:
+    """The rows of the largest block."""
+    return max(end - start for start, end in pairwise(factor.bounds))
+
+
+def _products(law: Tensor, d: Tensor) -> int:
+    """The products of quadratic forms: of law [lane, k, points, ij] and d [lane, points, r, s, a]."""
+    return law[0].numel() * d.shape[-1] ** 2

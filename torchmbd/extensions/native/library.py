@@ -43,9 +43,10 @@ from torchmbd.extensions.native.feedback import CalledLaws, Feedback
 from torchmbd.extensions.native.mechanism import Mechanism
 from torchmbd.extensions.native.user_laws import native_law
 from torchmbd.math.digest import digest
+from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Topology
-from torchmbd.process import cache_folder, require_cache_folder
+from torchmbd.process import cache_folder, require_cache_folder, thread_count
 from torchmbd.progress import stage
 
 _SOURCES = (
@@ -59,13 +60,20 @@ _SOURCES = (
     *(f"extensions/native/{name}" for name in ("factors.cpp", "feedback.cpp", "steps.cpp", "adjoint.cpp", "rates.cpp")),
 )
 _MECHANISM, _COUNT = ctypes.c_void_p, ctypes.c_long
+_BLOCKS: list[Any] = [
+    ctypes.c_void_p,
+    _COUNT,
+    _COUNT,
+    ctypes.c_void_p,
+]  # a `Job`, the first block and the end, scratch memory
 #: Functions of all libraries that Python calls: arguments, where these are not one `Job`, and the type of the result.
 _PROTOTYPES: dict[str, tuple[list[Any] | None, Any]] = {
     "needed": (None, ctypes.c_char_p),
-    "run_steps": (None, _COUNT),
+    "check_factors": (_BLOCKS, _COUNT),
+    "run_steps": (_BLOCKS, _COUNT),
     "steps_scratch": ([_MECHANISM, _COUNT], _COUNT),
     "steps_factors": ([_MECHANISM], _COUNT),
-    "adjoint": (None, _COUNT),
+    "adjoint": (_BLOCKS, _COUNT),
     "adjoint_scratch": ([_MECHANISM, _COUNT, _COUNT], _COUNT),
     "rates": (None, _COUNT),
     "rates_scratch": ([_MECHANISM], _COUNT),
@@ -108,6 +116,10 @@ class Library:
     def called(self) -> CalledLaws:
         """Laws that the code calls back."""
         return self.mechanism.kept[0].called
+
+    def threads(self, lanes: int) -> int:
+        """The number of threads that make steps: one where laws are called back."""
+        return 1 if self.called.actions else threads_of(lanes)
 
     def feedback(self, dynamics: Dynamics) -> Feedback | None:
         """Serves these calls; None: there are no such laws."""
@@ -196,6 +208,16 @@ def _built(name: str, kind: str, text: str, system: str) -> tuple[str, Path, str
         return name, build(name, kind, text, system), None
     except (MbdError, OSError) as error:
         return name, _path(name, kind), str(error)
+
+
+def calls_back(dynamics: Dynamics) -> bool:
+    """Whether native code calls laws of a system back."""
+    return any(isinstance(law, Port) for action in with_traced_laws(dynamics).topology.actions for law in action.laws)
+
+
+def threads_of(lanes: int) -> int:
+    """The number of threads that share the blocks of so many lanes."""
+    return min(thread_count(), -(-lanes // simd_layout.LANES))
 
 
 def path_of(dynamics: Dynamics, kind: str = "step") -> Path:

@@ -3,7 +3,8 @@
 // Before this text stand factors.cpp, feedback.cpp and, generated,
 //   signals, residual, finish, matrix, boundary, signal_tangents, residual_tangent, finish_tangent      (functions.py)
 // A block is LANES lanes. Arrays of a block: state [column][number], data [number], tangents of data [tangent][number].
-// If factors cannot be relied on, `run_steps` returns 1 and has done nothing; 2 where what was called back raised.
+// `check_factors` comes first where there are no factors yet, and where they are checked: 1 if they cannot be relied on. Both work
+// on blocks from `begin` to `end`, which share nothing, with scratch memory of the thread; 2 where what was called back raised.
 
 constexpr int MOST = 4, MORE = 6;     // as in stepper.py
 constexpr double PRECISE = 1e-6;      // as in stepper.py
@@ -20,7 +21,6 @@ struct Job {
   const double *row_mask, *diagonal_shift;                       // [N], or null
   double *q, *v, *vd, *lam;                                      // records [steps][number][1 + n_b][lanes]
   double *sizes, *errors;                                        // [steps][3][lanes], [3][n_b][lanes]
-  double *scratch;
   const double *moved;                                           // [steps][block][1 + n_b][moving][LANES]
   const Mechanism *mechanism;
   const double *passes;                                          // [block][LANES], corrections of tangents; `most` of all
@@ -78,33 +78,53 @@ static const V* prescribed(const Job& J, long step, long block) {
   return (const V*)J.shared + (step * J.tables + (J.tables > 1 ? block : 0)) * J.prescribed;
 }
 
-extern "C" long run_steps(const Job* job) {
+// Scratch memory of a block, and what points to it.
+struct Work {
+  const Counts c;
+  V *trial, *R, *z, *dz, *next;
+  In in;
+  Work(const Job& J, V* w) : c(*J.mechanism) {
+    trial = w + c.scratch;
+    R = trial + J.mechanism->size;
+    z = R + c.unknowns;
+    V* entries = z + c.unknowns;
+    dz = entries + c.entries;
+    next = dz + c.unknowns * J.n_b;
+    point(in, *J.mechanism, c, w);
+    in.R = R;
+    in.z = z;
+    in.entries = entries;
+    if (J.mechanism->called) point_feedback(in, *J.feedback);
+  }
+};
+
+extern "C" long check_factors(const Job* job, long begin, long end, double* scratch) {
+  const Job& J = *job;
+  const Mechanism& m = *J.mechanism;
+  Work work(J, (V*)scratch);
+  In& in = work.in;
+  for (long block = begin; block < end; block++) {
+    move(J, 0, block);
+    point_data(in, (const V*)J.values + block * J.data);
+    in.x = (const V*)J.state + block * (1 + J.n_b) * work.c.n_x;
+    in.u = prescribed(J, 0, block);
+    start(work.c, in.x, work.z);
+    if (ask(in, m, J.feedback, SLOPES, 0, block)) return 2;
+    if (!reliable(in, m, work.c, J.row_mask, J.diagonal_shift, ((const V*)J.counted)[block], work.trial, work.R)) return 1;
+  }
+  return 0;
+}
+
+extern "C" long run_steps(const Job* job, long begin, long end, double* scratch) {
   const Job& J = *job;
   const int S = (int)J.n_b;
   const Mechanism& m = *J.mechanism;
-  const Counts c(m);
+  Work work(J, (V*)scratch);
+  const Counts& c = work.c;
   const long N_ = c.unknowns, n_x = c.n_x;
-  V* w = (V*)J.scratch;
-  V *trial = w + c.scratch, *R = trial + m.size, *z = R + N_, *entries = z + N_, *dz = entries + c.entries, *next = dz + N_ * S;
-  In in;
-  point(in, m, c, w);
-  in.R = R;
-  in.z = z;
-  in.entries = entries;
-  if (m.called) point_feedback(in, *J.feedback);
-  if (J.fresh || J.check) {
-    for (long block = 0; block * LANES < J.lanes; block++) {
-      move(J, 0, block);
-      const V* d = (const V*)J.values + block * J.data;
-      point_data(in, d);
-      in.x = (const V*)J.state + block * (1 + S) * n_x;
-      in.u = prescribed(J, 0, block);
-      start(c, in.x, z);
-      if (ask(in, m, J.feedback, SLOPES, 0, block)) return 2;
-      if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, ((const V*)J.counted)[block], trial, R)) return 1;
-    }
-  }
-  for (long block = 0; block * LANES < J.lanes; block++) {
+  V *trial = work.trial, *R = work.R, *z = work.z, *dz = work.dz, *next = work.next;
+  In& in = work.in;
+  for (long block = begin; block < end; block++) {
     const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
     V* state = (V*)J.state + block * (1 + S) * n_x;
     const V* tangents = (const V*)J.tangents + block * S * J.data_tangents;

@@ -1,14 +1,15 @@
 """Steps of one-step methods by compiled code (library.py): the same numbers as by EagerStepper (stepper.py).
 
 Lanes go in blocks (simd_layout.py), each through many steps at a time, so that a block's numbers stay near the processor; one
-call of the library makes all steps between two checks of the tangents.
-Checked in tests/extensions/native/test_steps.py.
+call of the library makes all steps of some blocks between two checks of the tangents. Threads share the blocks (threads.py),
+unless laws are called back: these run in the calling thread.
+Checked in tests/extensions/native/test_steps.py, test_threads.py.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
 import torch
@@ -16,12 +17,14 @@ from torch import Tensor
 
 from torchmbd.extensions.native.library import Library
 from torchmbd.extensions.native.simd_layout import (
+    LANES,
     addresses,
     blocks,
     lanes_out,
     prescribed_blocks,
     varied_blocks,
 )
+from torchmbd.extensions.native.threads import run_blocks
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import CHECK, ITERATION_ERROR, EagerStepper
@@ -36,7 +39,7 @@ _NUMBERS = ("lanes", "n_b", "data", "data_tangents", "prescribed", "first", "ste
 _NUMBERS += ("check", "fresh", "moving", "tables")
 _ARRAYS = ("shared", "state", "values", "tangents", "factors", "row_mask", "diagonal_shift", "q", "v", "vd", "lam")
 _ARRAYS += ("sizes", "errors")
-_ARRAYS += ("scratch", "moved", "mechanism", "passes", "feedback", "counted", "scale")
+_ARRAYS += ("moved", "mechanism", "passes", "feedback", "counted", "scale")
 
 
 class Job(ctypes.Structure):
@@ -65,7 +68,6 @@ class NativeStepper(EagerStepper):
         self.feedback = library.feedback(dynamics)
         self.values, self.tangents = library.data_blocks(dynamics)
         self.factors = torch.empty(len(self.values) * code.steps_factors(library.address) // 8, dtype=torch.float64)
-        self.scratch = torch.empty(code.steps_scratch(library.address, self.n_b) // 8, dtype=torch.float64)
 
     def restart(self, lanes: Tensor | None = None) -> None:
         super().restart(lanes)
@@ -101,7 +103,7 @@ class NativeStepper(EagerStepper):
         arrays = {"shared": table, "state": state, "values": self.values, "tangents": self.tangents, "moved": moved}
         arrays |= {"factors": self.factors, "row_mask": row_mask, "diagonal_shift": diagonal_shift}
         arrays |= {name: x[start:] for name, x in zip(("q", "v", "vd", "lam"), record.parts, strict=True)}
-        arrays |= {"sizes": sizes, "errors": errors, "scratch": self.scratch, "scale": scale}
+        arrays |= {"sizes": sizes, "errors": errors, "scale": scale}
         arrays["passes"] = blocks(self.passes[None, None])
         arrays["counted"] = blocks((self.counts * (1.0 + self.sound))[None, None].double())
         job = Job(
@@ -123,7 +125,9 @@ class NativeStepper(EagerStepper):
             feedback=None if self.feedback is None else self.feedback.address,
             **addresses(arrays),
         )
-        if self._called(partial(self.code.run_steps, ctypes.byref(job))):
+        job.kept = arrays
+        make = partial(make_steps, self.code, job, self.library.threads(self.lanes))
+        if make() if self.feedback is None else self.feedback.run(make):
             self.code = None
             return False
         self.fresh = 0
@@ -135,14 +139,21 @@ class NativeStepper(EagerStepper):
             self.check(*errors)
         return True
 
-    def _called(self, f: Callable[[], int]) -> int:
-        return f() if self.feedback is None else self.feedback.run(f)
-
     def _state(self, state: Tensor) -> State:
         """A state out of blocks [block, column, number, LANES]."""
         T = self.dynamics.topology
         parts = lanes_out(state, self.lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         return State(*(Pair(y) if self.n_b else y for y in parts))
+
+
+def make_steps(code: ctypes.CDLL, job: Job, threads: int) -> int:
+    """Make the steps of a job; 1, and no step is made, where factors cannot be relied on; 2 where a law raised."""
+    blocks, scratch = -(-job.lanes // LANES), code.steps_scratch(job.mechanism, job.n_b)
+    if job.fresh or job.check:
+        status = run_blocks(partial(code.check_factors, ctypes.byref(job)), blocks, threads, scratch)
+        if status:
+            return status
+    return run_blocks(partial(code.run_steps, ctypes.byref(job)), blocks, threads, scratch)
 
 
 def _between_checks(count: int, first: int, tangents: int) -> Iterator[slice]:

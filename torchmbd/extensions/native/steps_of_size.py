@@ -7,14 +7,12 @@ Checked in tests/integrate/phases/test_variable_step.py.
 
 from __future__ import annotations
 
-import ctypes
-
 import torch
 from torch import Tensor
 
 from torchmbd.extensions.native.library import library
 from torchmbd.extensions.native.simd_layout import LANES, addresses, blocks, lanes_out
-from torchmbd.extensions.native.steps import Job
+from torchmbd.extensions.native.steps import Job, make_steps
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.step import Step
 from torchmbd.math.pair import value
@@ -42,11 +40,10 @@ def unknowns(dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
     arrays["tangents"] = arrays["errors"] = new(0, dtype=torch.float64)
     arrays["row_mask"], arrays["diagonal_shift"] = dynamics.diagonal() or (None, None)
     arrays["factors"] = new(len(values) * code.code.steps_factors(code.address) // 8, dtype=torch.float64)
-    arrays["scratch"] = new(code.code.steps_scratch(code.address, 0) // 8, dtype=torch.float64)
     each = new(len(values), LANES, dtype=torch.float64)
     arrays |= {"passes": each, "counted": each + 2.0, "scale": each.clone()}
     job = Job(mechanism=code.address, **numbers, **addresses(arrays))
-    if code.code.run_steps(ctypes.byref(job)):
+    if make_steps(code.code, job, code.threads(lanes)):
         return None
     _, _, vd, _, lam = lanes_out(state, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
     sizes = arrays["sizes"]

@@ -11,7 +11,8 @@ seventh digit (an iteration ends for all designs of a batch at once), so studies
 number of workers, whichever dies.
 Half a batch takes more than half the time of a batch (a step takes the same operations): workers pay with many starts.
 
-One thread each: a worker must be started with OMP_NUM_THREADS=1 (the local cluster and jobs of SLURM are).
+One thread each, unless TORCHMBD_THREADS gives compiled code more: a worker must be started with OMP_NUM_THREADS=1 (the local
+cluster and jobs of SLURM are).
 Messages of Dask are pickled: connect only to schedulers that you trust. The local cluster accepts its own process alone
 (local_cluster.py).
 Checked in tests/optimization/multistart/test_workers.py, tests/study/test_dask_evaluator.py, tests/study/test_cluster.py.
@@ -35,7 +36,7 @@ import torch
 
 from torchmbd.errors import InputError, MbdError, checked_signature
 from torchmbd.optimization.optimizer import Evaluation, NonlinearProgram, require_problem
-from torchmbd.process import ONE_THREAD, brief_warnings, use_one_thread
+from torchmbd.process import THREADS, brief_warnings, cores, use_one_thread, worker_threads
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
 _MAX_DEATHS = 3  # of workers that evaluate the same piece, until its designs count as failed
@@ -43,7 +44,6 @@ _SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": _MAX_DEATHS,
     "distributed.deploy.lost-worker-timeout": "1h",  # one that dies is started again: on a busy machine not within 15 s
     "distributed.worker.multiprocessing-method": "forkserver",
-    "distributed.nanny.pre-spawn-environ": ONE_THREAD,
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",  # 20 ms by itself: a wake-up that interrupts the numbers
 }
@@ -72,7 +72,7 @@ class Workers:
     ) -> None:
         self.factory = make, arguments
         self.rows, self.scheduler = rows, scheduler
-        self._workers, self._start = workers or len(os.sched_getaffinity(0)), start
+        self._workers, self._start = workers or cores(), start
         self._client: Any = None
         self._cluster: Any = None
 
@@ -86,7 +86,7 @@ class Workers:
             raise InputError(
                 f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: one process"
             ) from None
-        config.set(_SETTINGS)
+        config.set(_SETTINGS | {"distributed.nanny.pre-spawn-environ": worker_threads()})
         for name in _SILENCED_LOGGERS:  # they write tracebacks; an MbdError reports what matters
             logging.getLogger(name).setLevel(logging.CRITICAL)
         if self.scheduler is None:
@@ -252,6 +252,7 @@ def evaluate_piece(
 @cache
 def _problem_of_worker(make: Callable[..., NonlinearProgram], arguments: tuple[Any, ...]) -> NonlinearProgram:
     use_one_thread()
+    os.environ.setdefault(THREADS, "1")
     brief_warnings()
     return make(*arguments)
 
