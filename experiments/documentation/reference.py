@@ -37,7 +37,7 @@ GROUPS: dict[str, str] = {
     "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
     "simulation": "simulate Simulation equilibrium Equilibrium campbell Campbell frozen_poles linearize LinearSystem "
-    "buckling Buckling frequencies Vibrations Trajectory Phase Event",
+    "buckling Buckling frequencies Vibrations Trajectory Phase Event threads",
     "results": "SectionHistory PlyHistory viz viz.animate_mode viz.campbell viz.data_and_model viz.fiber_paths viz.mode_motion "
     "viz.root_locus viz.save_mesh viz.save_modes viz.save_motion",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
