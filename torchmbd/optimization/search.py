@@ -235,6 +235,16 @@ class Search:
         """Return the designs seen (scaled) that are not feasible, but violate no constraint by more than `most`."""
         return [y for (infeasible, number), y in self._ranks.values() if infeasible and number <= most]
 
+    def nearest(self, y: np.ndarray, count: int) -> list[tuple[np.ndarray, Evaluation]]:
+        """Return the other designs (scaled) that were evaluated with gradients, the nearest to y first."""
+        x = self.physical(y)
+        known = [
+            (other / self.scale, self._scaled(evaluation))
+            for other, evaluation in self._cache.entries.values()
+            if evaluation.ok and evaluation.differentiated and not np.array_equal(other, x)
+        ]
+        return sorted(known, key=lambda pair: float(np.linalg.norm(pair[0] - y)))[:count]
+
     def _rank_design(self, y: np.ndarray, evaluation: Evaluation) -> None:
         if not evaluation.ok:
             return

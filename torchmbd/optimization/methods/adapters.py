@@ -5,8 +5,11 @@ an objective far above the last one, from which line searches, trust regions and
 package that ends at a failed design all the same is run again from the best design, in a box without the failed one.
 Absolute tolerances: where the objective fell far below that of the start, the package is run again with the objective
 divided by the value reached.
-Status: "converged" is a Kuhn-Tucker point. A package whose own criteria hold where the Kuhn-Tucker conditions do not is run
-again from there with smaller tolerances.
+Status: "converged" is a Kuhn-Tucker point. Packages stop where the objective no longer falls by their tolerance. Where it
+curves a lot, the Kuhn-Tucker conditions hold much nearer to the optimum than that, and a package that is run again has
+forgotten the curvature. So a few quadratic steps follow, with the curvature of the gradients that the search has seen
+(`last_steps`). Where they do not end in a Kuhn-Tucker point the package is run again, with smaller tolerances.
+Checked in tests/optimization/methods/test_adapters.py, and over the registry in tests/contracts/test_optimizers.py.
 """
 
 from __future__ import annotations
@@ -16,8 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchmbd.optimization.curvature import perturb_stationary_start
+from torchmbd.optimization.curvature import lagrangian_gradient, perturb_stationary_start
 from torchmbd.optimization.kkt import SMALLEST_OBJECTIVE
+from torchmbd.optimization.methods.direction import VariableMetric, find_direction
 from torchmbd.optimization.optimizer import Ending, Evaluation
 from torchmbd.optimization.search import Search
 
@@ -26,6 +30,9 @@ SMALLEST_UNIT = 1e-9  # of the start's objective
 REST = 1e-8  # of the objective: a further run that lowers it by less is the last
 FAR_BELOW = 0.05  # of the objective at the start of a run
 FAILED_OBJECTIVE = 1e3  # of a failed evaluation, times the last objective
+LAST_STEPS = 4
+NEAR = 1e2  # times the option kkt: a residual from which the quadratic steps begin
+MOST_CURVED = 200  # variables of matrices of n x n numbers that are factorized in every step
 
 
 class EvaluationFailed(Exception):
@@ -147,12 +154,44 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
             continue
         if feasible and quality.residual <= kkt:
             return Ending(y, "converged", message if stop.success else f"{message}: a Kuhn-Tucker point")
+        if feasible and stop.success and quality.residual <= NEAR * kkt:
+            end = last_steps(search, y, evaluation, kkt)
+            if end is not None:
+                return Ending(end, "converged", f"{message}: quadratic steps from there end in a Kuhn-Tucker point")
         if (np.array_equal(start, y) or not feasible) and not failed and not stop.success:
             break
         least = REST * max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
         if number and feasible and not failed and before.objective - evaluation.objective <= least:
             break
     return _ending(search, y if search.best is None else search.best, message, max_iterations)
+
+
+def last_steps(search: Search, y: np.ndarray, evaluation: Evaluation, kkt: float) -> np.ndarray | None:
+    """Return a feasible design [n] of a residual up to `kkt` that quadratic steps from y find; None: they find none.
+
+    None also with equalities, which the subproblem of find_direction does not have.
+    """
+    if search.equality.any() or search.size > MOST_CURVED:
+        return None
+    multipliers = search.kuhn_tucker(evaluation, y).multipliers
+    metric = VariableMetric(search.size)
+    for other, known in search.nearest(y, 2 * search.size)[::-1]:  # the nearest last: it counts most
+        metric.update(y - other, lagrangian_gradient(evaluation, multipliers) - lagrangian_gradient(known, multipliers))
+    for _ in range(LAST_STEPS):
+        direction = find_direction(evaluation, y, search.lower, search.upper, metric.B, multipliers > 0.0)
+        end = np.clip(y + direction.s, search.lower, search.upper)
+        next_evaluation = search.evaluate(end, gradients=True)
+        if not next_evaluation.ok:
+            return None
+        quality = search.kuhn_tucker(next_evaluation, end)
+        multipliers = quality.multipliers
+        if search.violation(next_evaluation) <= search.feasibility and quality.residual <= kkt:
+            search.record(end)
+            return end
+        gradients = [lagrangian_gradient(e, multipliers) for e in (evaluation, next_evaluation)]
+        metric.update(end - y, gradients[1] - gradients[0])
+        y, evaluation = end, next_evaluation
+    return None
 
 
 def _run_wrapped(wrapped: WrappedProblem, run: Callable[[WrappedProblem], Stop]) -> Stop | None:
