@@ -201,3 +201,16 @@ def test_a_search_warns_of_a_body_once_and_its_table_says_what_stiffening_gives(
         "linear elastic displacements leave out tension and pressure of the loads of body 'rod', up to 0."
     )
     assert note.endswith("with stiffening=True they are part of it")
+
+
+@pytest.mark.thorough
+def test_shares_do_not_depend_on_the_parts_by_which_they_are_computed(monkeypatch):
+    system, shares = carried(0.2 * EULER / 20.0, 20.0), []
+    for states in (10**6, 3):
+        monkeypatch.setattr(elastic_limits, "_STATES", states)
+        elastic_limits._LOOKED_AT.clear()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            shares.append(mbd.simulate(system, 1e-3, steps=7, backend="eager").stats["load_share"])
+    assert shares[1] == pytest.approx(shares[0], rel=1e-12)
+    assert shares[0]["rod"] > 0.1

@@ -71,6 +71,7 @@ _FAST = 0.1  # spin by the frequency: errors of one percent
 _LOADED = 0.05  # share of loads: errors of five percent
 _SMALL = 0.005  # size of loads below which no share is large: a force at the end of a rod has a share of 3 to 6 sizes
 _GROWN = 1.1  # factor of the size beyond which a share is computed anew
+_STATES = 8192  # times x lanes whose loads are computed at once: some kilobytes each
 _MOST_NODES = 60  # of frames: there are six unit loads for each
 #: Body -> size and share of its largest loads.
 _LOOKED_AT: WeakKeyDictionary[Any, tuple[float, float]] = WeakKeyDictionary()
@@ -176,15 +177,20 @@ def load_shares(motion: Trajectory) -> dict[str, float]:
         for k, body in bodies
         if not any(isinstance(part, GivenElements) for part in body.assembly.parts.values())
     ]
-    intervals = [_intervals(motion, name) for name in T.names[: T.flexible]] if bodies else []
-    sizes = _sizes(motion, intervals) if bodies else []
-    loads = None
+    if not bodies:
+        return shares
+    intervals = [_intervals(motion, name) for name in T.names[: T.flexible]]
+    sizes = _sizes(motion, intervals)
+    larger = [
+        (k, body)
+        for k, body in bodies
+        if sizes[k] > max(_SMALL, _GROWN * _LOOKED_AT.get(body, (0.0, 0.0))[0])
+        and len(frame_nodes(T, k)) <= _MOST_NODES
+    ]
+    for (k, body), share in zip(larger, _largest_shares(motion, larger, intervals), strict=True):
+        _LOOKED_AT[body] = sizes[k], share
     for k, body in bodies:
         size, share = _LOOKED_AT.get(body, (0.0, 0.0))
-        if sizes[k] > max(_SMALL, _GROWN * size) and len(frame_nodes(T, k)) <= _MOST_NODES:
-            loads = _loads(motion) if loads is None else loads
-            means = [_means(x, intervals[k], 1) for x in loads]
-            size, share = _LOOKED_AT[body] = sizes[k], _share(T, k, body, *means)
         shares[body.name] = share * sizes[k] / size if size else 0.0
     return shares
 
@@ -235,6 +241,21 @@ def _sizes(motion: Trajectory, intervals: Sequence[int]) -> list[float]:
 
     intervals   over which the loads on each body are averaged
     """
+    T, data = motion.dynamics.topology, motion.dynamics.data
+    mass = value(data["mass"])[:, 0]
+    parts = motion.parts(_STATES, overlap=max(intervals))
+    largest = torch.stack([_largest_loads(part, intervals) for part in parts]).amax(0)
+    sizes = []
+    for k, name in enumerate(T.names[: T.flexible]):
+        lowest = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).reshape(-1)
+        second = value(data["P0"])[:, :, k, 0].diagonal().sum(-1)  # mass times a square of its length
+        size = largest[k] / (lowest * (mass[k] * second).sqrt())
+        sizes.append(float(size.nan_to_num(0.0, 0.0, 0.0).max()))
+    return sizes
+
+
+def _largest_loads(motion: Trajectory, intervals: Sequence[int]) -> Tensor:
+    """The largest size of all loads by the means of each flexible body [flexible, lanes] [N]; 0 in lanes that failed."""
     T, data, shape = motion.dynamics.topology, motion.dynamics.data, (motion.lanes, len(motion.t))
     mass = value(data["mass"])[:, 0]
     acceleration = in_lanes(motion.a)[: 3 * T.bodies].unflatten(0, (3, -1))
@@ -245,18 +266,11 @@ def _sizes(motion: Trajectory, intervals: Sequence[int]) -> list[float]:
         wide, at = placement_at_times(motion)
         pulls = equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0]
         vectors.append((pulls.unflatten(-1, shape), mass.new_ones(1, 1, 1)))
-    totals = {
-        n: sum(((weight * _lengths(_means(x, n, -1))).sum(0) for x, weight in vectors), torch.zeros(()))
-        for n in set(intervals)
-    }
-    sizes = []
-    for k, name in enumerate(T.names[: T.flexible]):
-        largest = (totals[intervals[k]].nan_to_num(0.0, 0.0, 0.0) * _known(motion)).amax(1)
-        lowest = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).reshape(-1)
-        second = value(data["P0"])[:, :, k, 0].diagonal().sum(-1)  # mass times a square of its length
-        size = largest / (lowest * (mass[k] * second).sqrt())
-        sizes.append(float(size.nan_to_num(0.0, 0.0, 0.0).max()))
-    return sizes
+    largest = {}
+    for n in set(intervals):
+        total = torch.stack([(weight * _lengths(_means(x, n, -1))).sum(0) for x, weight in vectors]).sum(0)
+        largest[n] = (total.nan_to_num(0.0, 0.0, 0.0) * _known(motion)).amax(1)
+    return torch.stack([largest[n] for n in intervals])
 
 
 def _at_all_times(motion: Trajectory, x: Any) -> Tensor:
@@ -270,23 +284,43 @@ def _lengths(x: Tensor) -> Tensor:
     return x.square().sum(0).sqrt()
 
 
-def _share(T: Any, k: int, body: Any, u: Tensor, Z: Tensor, pulls: Tensor) -> float:
-    """The largest share of flexible body k; loads as of `_loads`."""
+def _largest_shares(motion: Trajectory, bodies: list[tuple[int, Any]], intervals: Sequence[int]) -> list[float]:
+    """The largest share of flexible bodies, of each its number and itself: the loads of all states at once need much memory."""
+    if not bodies:
+        return []
+    T = motion.dynamics.topology
+    slopes = [_slopes(T, k, body) for k, body in bodies]
+    largest = torch.zeros(len(bodies), dtype=torch.float64)
+    for part in motion.parts(_STATES, overlap=max(intervals[k] for k, _ in bodies)):
+        loads, shares = _loads(part), []
+        for (k, _), x in zip(bodies, slopes, strict=True):
+            shares.append(0.0 if x is None else _share(T, k, x, *(_means(y, intervals[k], 1) for y in loads)))
+        largest = largest.maximum(largest.new_tensor(shares))
+    return largest.tolist()
+
+
+def _slopes(T: Any, k: int, body: Any) -> Tensor | None:
+    """Geometric stiffness of flexible body k by each of its loads, by its stiffness [loads, modes, modes]; None without one."""
     nodes = frame_nodes(T, k)
     with torch.no_grad():
         second = body.structure(nodes, second_order=True)
     L, singular = torch.linalg.cholesky_ex(second["Kr"])
     if int(singular) or not len(L):
-        return 0.0
-    loads = [u[..., k, :], Z[..., k, :, :].flatten(-2)]
+        return None
     slopes = [second["F1"], second["F2"].flatten(0, 1)]
     for i, of in enumerate(T.vector_flexible.tolist()):
         if of == k:
-            loads.append(pulls[..., i, :])
             slopes.append(T.attached[i].quadratic_rows(second["psi"], second["psi2"], nodes).detach())
     inverse = torch.linalg.inv(L)
-    Kg = torch.tensordot(torch.cat(loads, -1), inverse @ torch.cat(slopes) @ inverse.T, 1)
-    return float(torch.linalg.eigvalsh(Kg.nan_to_num(0.0, 0.0, 0.0)).abs().max())
+    return inverse @ torch.cat(slopes) @ inverse.T
+
+
+def _share(T: Any, k: int, slopes: Tensor, u: Tensor, Z: Tensor, pulls: Tensor) -> float:
+    """The largest share of flexible body k; loads as of `_loads`."""
+    vectors = [pulls[..., i, :] for i, of in enumerate(T.vector_flexible.tolist()) if of == k]
+    loads = torch.cat([u[..., k, :], Z[..., k, :, :].flatten(-2), *vectors], -1)
+    Kg = torch.tensordot(loads, slopes, 1)
+    return float(torch.linalg.eigvalsh(Kg.nan_to_num(0.0, 0.0, 0.0)).abs().amax()) if len(Kg) else 0.0
 
 
 def _loads(motion: Trajectory) -> tuple[Tensor, Tensor, Tensor]:

@@ -5,7 +5,7 @@ Checked in tests/integrate/test_simulate.py, tests/integrate/test_motion.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Self, TypeVar
@@ -19,7 +19,7 @@ from torchmbd.math.module_call import run_with_parameters
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.mode_shapes import Shapes, SomeLanes
-from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals, TensorSignals, detached
+from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals, SomeTimes, TensorSignals, detached
 from torchmbd.summary import Summary, few
 
 OK = "ok"
@@ -276,6 +276,17 @@ class MotionData(Summary):
         """One lane at one side of a switch at its time t [], as a motion of one time without sensitivities."""
         there = {name: getattr(moment, name)[lane : lane + 1, None] for name in ("q", "v", "a", "lam")}
         return self.one_lane(lane, t[None], TensorSignals(there))
+
+    def parts(self, most: int, overlap: int = 0) -> Iterator[Self]:
+        """The motion by parts of its times with at most so many states of all lanes, without sensitivities.
+
+        overlap   intervals that successive parts share; parts of more states have twice as many
+        """
+        length = max(1, 2 * overlap + 1, most // self.lanes)
+        for first in range(0, max(len(self.t) - overlap, 1), length - overlap):
+            chosen = slice(first, first + length)
+            plain = {"switches": [], "known": None, "integration": None, "variables": {}, "parameters": ()}
+            yield replace(self, t=self.t[chosen], signals=SomeTimes(self.signals, chosen), **plain)
 
     def at_rest(self, index: int) -> Self:
         """The machine at rest at all times where it is at one of them: without rates, forces and sensitivities."""

@@ -3,7 +3,7 @@
     values(name, rows)     [lanes, times, k]
     tangents(name, rows)   [lanes, times, k, n_b], None without sensitivities
 
-`IntegratedSignals` has the states that an integrator left, `TensorSignals` tensors.
+`IntegratedSignals` has the states that an integrator left, `TensorSignals` tensors, `SomeTimes` a part of others.
 Names are "q", "v", "a" and "lam"; rows None: all. Each result is kept.
 Checked in tests/results/test_time_rows.py.
 """
@@ -73,6 +73,18 @@ class TensorSignals(Signals):
 
     def _values(self, name: str, rows: Rows) -> Tensor:
         return self._all[name] if rows is None else self._all[name][..., list(rows)]
+
+
+class SomeTimes(Signals):
+    """Rows of other signals at some of their times, without tangents."""
+
+    def __init__(self, signals: Signals, chosen: slice):
+        super().__init__()
+        self.signals, self.chosen = signals, chosen
+        self.lanes, self.times = signals.lanes, len(range(signals.times)[chosen])
+
+    def _values(self, name: str, rows: Rows) -> Tensor:
+        return self.signals.values(name, rows)[:, self.chosen]
 
 
 class Integration(Protocol):
