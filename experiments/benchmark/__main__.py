@@ -32,6 +32,7 @@ Parts (default: all):
     errors          estimated over true errors of responses by steps
     campbell        frequencies of a blade at 50 speeds, and their gradient by 100 variables
     chosen-steps    an optimization with steps by these errors over one with fixed steps
+    methods         methods of optimization on ten problems whose optima are known (--problems, --methods)
 
 One torch thread. Compiled code that is missing is built first (kept in the cache); not with --quick, which also takes smaller
 sizes. What was not measured is null. Processor times of one thread, the fastest of several runs taken in turns; wall times of
@@ -65,6 +66,7 @@ from experiments.benchmark.errors import errors
 from experiments.benchmark.evaluate import evaluate
 from experiments.benchmark.integrators import work_precision
 from experiments.benchmark.load_cases import load_cases
+from experiments.benchmark.methods import CASES, methods
 from experiments.benchmark.multistart import multistart
 from experiments.benchmark.processes import run_each
 from experiments.benchmark.report import Result, Settings, machine
@@ -72,6 +74,7 @@ from experiments.benchmark.segments import segments
 from experiments.benchmark.stiffening import stiffening
 from experiments.benchmark.study import study
 from experiments.peers import exudyn_peer
+from torchmbd.optimization.optimizer import OPTIMIZERS
 
 PARTS: dict[str, Callable[[Settings], Result]] = {
     "motion": motion.slider_crank_part,
@@ -104,6 +107,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "errors": errors,
     "campbell": campbell,
     "chosen-steps": chosen_steps,
+    "methods": methods,
 }
 FIGURES = (
     "gradient_3x32",
@@ -199,6 +203,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")
     parser.add_argument("--peer", choices=["exudyn"], help="measure this code beside torchmbd")
     parser.add_argument("--quick", action="store_true", help="small sizes, nothing is compiled")
+    parser.add_argument(
+        "--problems", nargs="+", default=[], choices=list(CASES), help="of the part methods; default: all"
+    )
+    parser.add_argument("--methods", nargs="+", default=[], choices=list(OPTIMIZERS), help="of the part methods")
     options = parser.parse_args(arguments)
     for part in options.parts:
         if part not in PARTS:
@@ -206,7 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.peer and not exudyn_peer.available():
         parser.error("--peer exudyn, but the package exudyn is not installed: pip install exudyn")
     torch.set_num_threads(1)
-    settings = Settings(peer=options.peer is not None, quick=options.quick)
+    settings = Settings(options.peer is not None, options.quick, options.problems, options.methods)
     console = Console(file=sys.stderr if options.json else sys.stdout)
 
     def tell(result: Result) -> None:

@@ -18,10 +18,17 @@ Cell = str | float | int | None
 
 @dataclass(frozen=True)
 class Settings:
-    """peer: run the peer as well. quick: seconds instead of minutes; what that cannot measure stays unmeasured."""
+    """What is measured.
+
+    peer      run the peer as well
+    quick     seconds instead of minutes; what that cannot measure stays unmeasured
+    problems, methods   of the part "methods", by name; none: all
+    """
 
     peer: bool = False
     quick: bool = False
+    problems: Sequence[str] = ()
+    methods: Sequence[str] = ()
 
     @property
     def repeat(self) -> int:

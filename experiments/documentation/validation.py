@@ -1,7 +1,8 @@
 """The pages of docs/validation, from runs. `python -m experiments.documentation.validation`
 
     paper    every row of the paper next to ours (experiments/paper; parts that are done come from its store)
-    others   the output of each command that the page names (recorded.py), with date, seconds and machine
+    others   the output of each command that the page names (recorded.py), with date, seconds and machine; among them is
+             docs/reference/optimization.md
 
     --list   print the commands of the pages;    --only COMMAND   this one alone;    PAGE ...   these pages
 
@@ -29,6 +30,7 @@ from experiments.paper.report import number_text
 from torchmbd.study.paths import studies_folder
 
 FOLDER = Path(__file__).parents[2] / "docs" / "validation"
+ELSEWHERE = (FOLDER.parent / "reference" / "optimization.md",)  # a page of another folder with recorded outputs
 HEAD = """\
 # The paper, row by row
 
@@ -71,23 +73,24 @@ def _row(row: Row) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    names = [path.stem for path in sorted(FOLDER.glob("*.md"))]
+    pages = {path.stem: path for path in (*sorted(FOLDER.glob("*.md")), *ELSEWHERE)}
+    names = list(pages)
     parser.add_argument("pages", nargs="*", choices=[[], *names], help="default: all")
     parser.add_argument("--only", help="this command alone, as --list prints it")
     parser.add_argument("--parts", nargs="*", default=[], help="paper: of experiments.paper; default: all shorter ones")
     parser.add_argument("--list", action="store_true", help="print the commands of the pages, run nothing")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    known = [x for name in arguments.pages or names for x in recorded.commands(FOLDER / f"{name}.md")]
+    known = [x for name in arguments.pages or names for x in recorded.commands(pages[name])]
     if arguments.only not in (None, *known):
         parser.error(f"--only is {arguments.only!r}; allowed: one of {known}")
-    sections = [(name, x) for name in arguments.pages or names for x in recorded.commands(FOLDER / f"{name}.md")]
+    sections = [(name, x) for name in arguments.pages or names for x in recorded.commands(pages[name])]
     todo = {f"{name}: {x}": (name, x) for name, x in sections if arguments.only in (None, x)}
 
     def record(line: str) -> None:
         print(line, flush=True)
         name, command = todo[line]
-        recorded.record(FOLDER / f"{name}.md", command)
+        recorded.record(pages[name], command)
 
     if arguments.list:
         print("\n".join(todo))

@@ -133,6 +133,7 @@ def test_a_command_that_fails_does_not_keep_the_others_from_their_pages(monkeypa
         return "new"
 
     monkeypatch.setattr(validation, "FOLDER", tmp_path)
+    monkeypatch.setattr(validation, "ELSEWHERE", ())
     monkeypatch.setattr(recorded, "run", output)
     monkeypatch.setattr("sys.argv", ["validation"])
     assert validation.main() == 1
@@ -141,7 +142,10 @@ def test_a_command_that_fails_does_not_keep_the_others_from_their_pages(monkeypa
     assert "Command 'first' returned non-zero exit status 3" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("page", sorted((DOCS / "validation").glob("*.md")), ids=lambda page: page.stem)
+PAGES = [*sorted((DOCS / "validation").glob("*.md")), *validation.ELSEWHERE]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_recorded_commands_exist_and_have_an_output(page):
     for command, text in recorded.commands(page).items():
         assert importlib.util.find_spec(recorded.module(command)) is not None, command
