@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.linalg
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 import experiments.models.parts
 import torchmbd as mbd
@@ -42,7 +42,7 @@ def wall_moduli(theta: float, ply: Sequence[float] = CARBON) -> tuple[float, flo
 
 def lightest(designs: Iterable[float], mass: Callable[[float, float], float], limit: Callable[[float, float], float]):
     """Least mass over angles, each with the ply thickness [m] at which `limit`, falling with it, is 0."""
-    return min(mass(theta, brentq(partial(limit, theta), 2e-4, 3e-3)) for theta in designs)
+    return min(mass(theta, root_scalar(partial(limit, theta), bracket=(2e-4, 3e-3)).root) for theta in designs)
 
 
 def shaft_mass(problem: mbd.Problem) -> float:
@@ -74,7 +74,7 @@ def boom_mass(problem: mbd.Problem) -> float:
         T = 4 * t
         b, h = width - T / 2, height - T
         plies = zip((theta, -theta, -theta, theta), (-1.5 * t, -0.5 * t, 0.5 * t, 1.5 * t), strict=True)
-        D = sum(plane_stiffness(angle) * (t * z**2 + t**3 / 12.0) for angle, z in plies)
+        D = sum((plane_stiffness(angle) * (t * z**2 + t**3 / 12.0) for angle, z in plies), start=np.zeros((3, 3)))
         torsion = 4.0 * (D[2, 2] - D[1, 2] ** 2 / D[1, 1]) * (h + 2 * b)
         I = T * h**2 * (h / 12.0 + b / 2.0)
         web = -width / 2 + T / 2
@@ -207,5 +207,5 @@ OPTIMA: dict[str, Callable[[mbd.Problem], float]] = {
     "drive_shaft": shaft_mass,
     "channel_boom": boom_mass,
     "box_beam": box_mass,
-    "turbine_blade": lambda problem: brentq(lambda tip: blade_frequency(tip) - 0.5, 0.0, 2000.0),
+    "turbine_blade": lambda problem: root_scalar(lambda tip: blade_frequency(tip) - 0.5, bracket=(0.0, 2000.0)).root,
 }

@@ -16,9 +16,15 @@ import torchmbd as mbd
 from experiments.models.part_optima import BLADE, FOLDER, MASSES, OPTIMA, blade_frequency, blade_table
 from torchmbd.design.problem_steps import with_steps
 
-pytestmark = pytest.mark.usefixtures("compiled")  # as a user has it
+pytestmark = pytest.mark.usefixtures("optimized")  # as a user has it
 NAMES = sorted(file.stem for file in FOLDER.glob("*.yaml"))
 MOST_LINES = 30
+
+
+@pytest.fixture
+def optimized(compiled: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiled steps with a level of optimization: a search makes more of them than the -O0 of other tests is worth."""
+    monkeypatch.setenv("TORCHMBD_CXXFLAGS", "-O1")
 
 
 def script_of(name: str) -> Any:
