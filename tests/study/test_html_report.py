@@ -84,3 +84,10 @@ def test_pages_of_vibrations_follow_the_motion(finished, tmp_path):
     assert "const S = JSON.parse" in frames[0]
     assert frames[1] == "<p>a vibration</p>"
     assert read.text.index("Motion of the best design") < read.text.index("A vibration of the best design")
+
+
+def test_the_report_fits_a_telephone(finished, tmp_path):
+    page = write_report("short", tmp_path / "r.html", finished.uri).read_text()
+    assert '<meta name="viewport" content="width=device-width">' in page
+    narrow = page[page.index("@media (max-width: 40rem)") : page.index("</style>")]
+    assert "td { white-space: normal; }" in narrow  # responses wrap, so that their numbers are on the screen

@@ -46,6 +46,10 @@ td:first-child, th:first-child { text-align: left; } td { white-space: nowrap; }
 .warning { color: #b00020; font-weight: 600; }
 img { max-width: 100%; } iframe { width: 100%; height: 34rem; border: 1px solid #ddd; }
 pre { background: #f6f6f6; padding: 0.8rem; overflow-x: auto; }
+@media (max-width: 40rem) {
+  body { margin: 1rem auto; padding: 0 0.6rem; } h1 { font-size: 1.2rem; } table { font-size: 0.72em; }
+  th, td { padding: 0.15rem 0.25rem; } td { white-space: normal; }
+}
 """
 _OUTCOME = {
     "best_objective": "best objective",
