@@ -148,6 +148,10 @@ def test_the_view_of_the_table_names_metrics_that_exist(study):
     metrics = {column.partition("`")[2][:-1] for column in view["selectedColumns"] if column.startswith("metrics")}
     assert metrics <= set(study.children[0].data.metrics)
     assert {"objective", "design/angle_1_deg", "design/angle_2_deg"} <= metrics
+    # MLflow shows attributes first, then metrics in their order: the status is the description of a start.
+    assert view["selectedColumns"][:2] == ["attributes.`Description`", "metrics.`objective`"]
+    for child in study.children:
+        assert child.data.tags["mlflow.note.content"] == child.data.tags["status"].replace("_", " ")
 
 
 def test_a_sweep_is_one_batch_with_a_run_for_each_point(sweep):

@@ -48,7 +48,7 @@ def run_front(
         numbers = dict(zip(journal.criteria.values(), point.criteria.tolist(), strict=True))
         numbers |= {"objective": float(point.criteria[0]), "violation": point.result.violation}
         journal.tracker.metrics(child(k), numbers | journal.design_metrics(point.x))
-        journal.tracker.tags(child(k), {"status": point.result.status, "message": point.result.message})
+        journal.status(k, point.result)
         journal.end(child(k), "FINISHED")
     _show(study, front, journal, console)
     journal.summary({"points": len(front.points), "dropped_points": front.dropped, "failed_points": front.failed}, {})

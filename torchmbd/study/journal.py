@@ -42,6 +42,9 @@ from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import GOAL, MAXIMIZE, VERIFICATION
 
+NOTE = "mlflow.note.content"  # tag of the description of a run
+STATUS_COLUMN = "attributes.Description"  # MLflow shows attributes before metrics, and tags behind all of them
+
 
 class Journal(Runs):
     """Tracks a study: translates iterates, evaluations and results into calls of a tracker.
@@ -74,7 +77,7 @@ class Journal(Runs):
         )
         first = list(self.criteria.values()) if kind == "front" else ["objective"]
         names = [*first, *extra_metrics, *(DESIGN + name for name in self.study.columns.names)]
-        return [*(f"metrics.{name}" for name in names), "tags.status"]
+        return [STATUS_COLUMN, *(f"metrics.{name}" for name in names)]
 
     @property
     def criteria(self) -> dict[str, str]:
@@ -146,10 +149,15 @@ class Journal(Runs):
             **self.design_metrics(result.x),
         }
         self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
-        tags = {"status": result.status, "message": result.message, "method": result.method, "best": "false"}
-        self.tracker.tags(run, tags)
+        self.status(result.start, result)
+        self.tracker.tags(run, {"method": result.method, "best": "false"})
         ended: dict[str, Status] = {"failed": "FAILED", "interrupted": "KILLED"}
         self.end(run, ended.get(result.status, "FINISHED"))
+
+    def status(self, index: int, result: OptimizationResult) -> None:
+        """Tag a child with how its search ended; its description has it for the table."""
+        words = {"status": result.status, "message": result.message, NOTE: result.status.replace("_", " ")}
+        self.tracker.tags(child(index), words)
 
     def summary(self, numbers: Mapping[str, float], tags: Mapping[str, str]) -> None:
         """Log the outcome of the whole study on the parent."""
