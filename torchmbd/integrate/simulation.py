@@ -118,7 +118,7 @@ class Simulation(Summary):
         check_dtypes(system)
         self.system, self.duration, self.method, self.backend = system, duration, method, backend
         self.steps = None if steps is None else int(steps)
-        self.phases = tuple(phases) if isinstance(phases, (list, tuple)) else phases
+        self.phases = list(phases) if isinstance(phases, list) else phases
         self.start = dict(start) if isinstance(start, Mapping) else start
         self.options = options
         self._known: _Preparation | None = None

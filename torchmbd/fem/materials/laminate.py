@@ -330,5 +330,5 @@ def strain_rotations(
     """Return T and R, which map strains in plate axes to ply axes: (xx, yy, xy) to (11, 22, 12), (xz, yz) to (13, 23)."""
     c, s = torch.cos(theta), torch.sin(theta)
     cc, ss, cs = c * c, s * s, c * s
-    T = torch.stack([cc, ss, cs, ss, cc, -cs, -2 * cs, 2 * cs, cc - ss], dim=-1).unflatten(-1, (3, 3))
-    return T, torch.stack([c, s, -s, c], dim=-1).unflatten(-1, (2, 2))
+    T = torch.stack([cc, ss, cs, ss, cc, -cs, -2 * cs, 2 * cs, cc - ss], dim=-1).reshape(*theta.shape, 3, 3)
+    return T, torch.stack([c, s, -s, c], dim=-1).reshape(*theta.shape, 2, 2)
