@@ -155,10 +155,11 @@ def mark_gains(motion: Trajectory) -> None:
     """Set the status of lanes of a motion of values whose vibrations gain energy that nothing gives them, after a switch.
 
     A lock excites vibrations that the steps before did not have to resolve; those of a fifth of a period or more may grow
-    from step to step, as they do not decay in a method of little numerical damping.
+    from step to step, as they do not decay in a method of little numerical damping. Works of drives and of laws of forces
+    have errors of the steps themselves, so systems with them are left out.
     """
     T, errors = motion.dynamics.topology, motion.stats.get("step_error")
-    driven = any(p.driven for p in T.primitives) or len(T.links.each) > 0  # their work has errors of the steps itself
+    driven = any(p.driven for p in T.primitives) or len(T.links.each) > 0 or len(T.actions) > 0
     if not motion.switches or errors is None or not T.flexible or driven:
         return
     lanes = [k for k, status in enumerate(motion.status) if status == OK and float(errors[k]) > GOOD_STEP]
