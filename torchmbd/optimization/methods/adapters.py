@@ -178,7 +178,10 @@ def last_steps(search: Search, y: np.ndarray, evaluation: Evaluation, kkt: float
     for other, known in search.nearest(y, 2 * search.size)[::-1]:  # the nearest last: it counts most
         metric.update(y - other, lagrangian_gradient(evaluation, multipliers) - lagrangian_gradient(known, multipliers))
     for _ in range(LAST_STEPS):
-        direction = find_direction(evaluation, y, search.lower, search.upper, metric.B, multipliers > 0.0)
+        try:
+            direction = find_direction(evaluation, y, search.lower, search.upper, metric.B, multipliers > 0.0)
+        except np.linalg.LinAlgError:  # constraints of very different sizes: the package goes on
+            return None
         end = np.clip(y + direction.s, search.lower, search.upper)
         next_evaluation = search.evaluate(end, gradients=True)
         if not next_evaluation.ok:
