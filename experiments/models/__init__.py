@@ -8,7 +8,8 @@ turning_blade          a blade on a hub, asked about in configs/turning_blade
 pendulum_rig           a rig whose friction and inertia are measured, asked about in configs/pendulum_rig
 steered_rod            fibers that steer: `python -m experiments.models.steered_rod`, 45 minutes
 panel                  a laminated panel on three joints
-parts                  eight ordinary parts, each with an experiment file: docs/validation/parts.md
+parts                  eight ordinary parts, each with an experiment file: docs/validation/parts.md; part_optima: their optima
+                       by closed forms and scans
 five_bar               a pick-and-place robot: `python -m experiments.benchmark chosen-steps`
 chain, delta_robot, falling_arm, flapping_blade, four_bar, spacecraft
                        mechanisms of docs/gallery.md: `python -m experiments.documentation.pictures four_bar` draws the motion
