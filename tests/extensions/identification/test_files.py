@@ -350,7 +350,7 @@ def test_lines_of_the_data_are_named(folder, line, text, message):
         load("study.yaml")
 
 
-def test_the_rig_of_the_tutorial(tmp_path, monkeypatch):
+def test_the_rig_of_the_tutorial(tmp_path, monkeypatch, compiled):
     """The fit of configs/pendulum_rig finds the numbers of the twin within its intervals."""
     monkeypatch.chdir(tmp_path)
     from experiments.models.pendulum_rig import DELAY, TRUTH, measured
