@@ -130,7 +130,8 @@ def deadly(self, X, gradients):
     return evaluate(self, X, gradients)
 mbd.Problem.evaluate = deadly
 starts = mbd.sobol(2, seed=7, include_initial=True)
-mbd.Study(problem(), starts, name="small", max_iterations=2, question="Which angles?", experiment="py").run(console=QUIET)
+study = mbd.Study(problem(), starts, "mmfd", name="small", max_iterations=2, question="Which angles?", experiment="py")
+study.run(console=QUIET)
 """
 
 
