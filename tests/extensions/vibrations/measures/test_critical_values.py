@@ -143,24 +143,25 @@ def test_a_critical_speed_is_one_of_a_fixed_observer_whatever_axes_are_used():
 
 @pytest.mark.thorough
 def test_the_observer_chooses_the_axes_and_leaves_the_speed():
-    """A disk on a mount that is alike all around: sqrt(k / m) in axes of both; two stiffnesses have no turning axes."""
+    """Backward whirl of a disk that tilts, at sqrt(k / (I_d + I_p)), in axes of both; two stiffnesses have no turning axes."""
 
-    def critical(observer: str, other: float = 8e3) -> torch.Tensor:
-        disk = mbd.RigidBody("disk", mbd.variable(2.0), (0.02, 0.01, 0.01))
-        mount = mbd.Bushing(GROUND.at(), disk.at(), (5e4, 8e3, other), turning_stiffness=(0.0, 300.0, 300.0))
-        designs = {"disk.mass": mass}
-        motion = mbd.simulate(mbd.System([disk], forces=[mount]), 1e-4, steps=2, designs=designs, backend="eager")
-        return mbd.CriticalSpeed(1, between=(40.0, 90.0), points=4, axis="x", observer=observer)(motion)
+    def critical(observer: str, other: float = 8e4) -> torch.Tensor:
+        disk, turning = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01)), mbd.variable(300.0)
+        stiffness = {"stiffness": (5e4, 8e4, other), "turning_stiffness": (0.0, turning, turning)}
+        mount = mbd.Bushing(GROUND.at(), disk.at(), **stiffness, name="mount")
+        options = {"steps": 2, "designs": {"mount.turning_stiffness_y": k}, "backend": "eager"}
+        motion = mbd.simulate(mbd.System([disk], forces=[mount]), 1e-4, **options)
+        return mbd.CriticalSpeed(1, between=(80.0, 120.0), points=4, axis="x", observer=observer)(motion)
 
-    mass = torch.tensor([2.0], dtype=torch.float64, requires_grad=True)
+    k = torch.tensor([300.0], dtype=torch.float64, requires_grad=True)
     for observer in ("ground", "turning"):
         speed = critical(observer)
-        (slope,) = torch.autograd.grad(speed.sum(), mass)
-        assert float(speed) == pytest.approx(math.sqrt(8e3 / 2.0), rel=1e-6)
-        assert float(slope) == pytest.approx(-0.25 * math.sqrt(8e3 / 2.0), rel=1e-5)
-    assert float(critical("ground", 6e3)) == pytest.approx(math.sqrt(6e3 / 2.0), rel=1e-6)
+        (slope,) = torch.autograd.grad(speed.sum(), k)
+        assert float(speed) == pytest.approx(100.0, rel=1e-6)
+        assert float(slope) == pytest.approx(100.0 / 600.0, rel=1e-5)
+    assert float(critical("ground", 6e4)) == pytest.approx(100.0, rel=1e-6)
     with pytest.raises(mbd.MbdError, match="observer"):
-        critical("turning", 6e3)
+        critical("turning", 6e4)
 
 
 def ziegler(k: float = 3.0, c: float = 0.2) -> mbd.System:

@@ -169,7 +169,7 @@ def test_matrices_and_data_refuse_what_their_observer_sees_turn(force, observer,
     with pytest.raises(mbd.InputError, match=message):
         mbd.linearize(system, [inputs], [outputs], state)
     with pytest.raises(mbd.InputError, match=message):
-        data.predict(Run(system, 1.0, {}, {}, {}, 1, False), {})
+        data.predict(Run(system, 1.0, {}, {}, mbd.Simulation(system, 1.0), 1, False), {})
 
 
 def test_of_a_bent_blade_in_rotation():
