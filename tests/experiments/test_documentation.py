@@ -51,9 +51,9 @@ def test_generated_parts_are_current_and_the_same_on_every_machine(page):
 
 def test_no_page_asks_for_a_part_that_does_not_exist():
     for page in PAGES:
-        asked = re.findall(r"<!-- (?:generated|insert): (\w+)", page.read_text(encoding="utf-8"))
-        assert set(asked) <= set(generated.PARTS), page.name
-        assert len(asked) == len(generated.MARK.findall(page.read_text(encoding="utf-8"))), page.name
+        parts = re.findall(r"<!-- (?:generated|insert): (\w+)", page.read_text(encoding="utf-8"))
+        assert set(parts) <= set(generated.PARTS), page.name
+        assert len(parts) == len(generated.MARK.findall(page.read_text(encoding="utf-8"))), page.name
 
 
 def test_an_entry_has_signature_text_columns_example_and_methods():

@@ -159,7 +159,7 @@ def mark_gains(motion: Trajectory) -> None:
     have errors of the steps themselves, so systems with them are left out.
     """
     T, errors = motion.dynamics.topology, motion.stats.get("step_error")
-    driven = any(p.driven for p in T.primitives) or len(T.links.each) > 0 or len(T.actions) > 0
+    driven = any(p.driven for p in T.primitives) or len(T.actions) > 0
     if not motion.switches or errors is None or not T.flexible or driven:
         return
     lanes = [k for k, status in enumerate(motion.status) if status == OK and float(errors[k]) > GOOD_STEP]

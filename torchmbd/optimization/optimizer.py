@@ -255,7 +255,7 @@ class OptimizationResult(Summary):
 
     @property
     def gain_text(self) -> str:
-        """Whether the design is better than the start of the search."""
+        """A sentence that compares the design with the start of the search."""
         return gain_text(self, self.history[0] if self.history else None)
 
     @property
@@ -286,7 +286,7 @@ class OptimizationResult(Summary):
 
     @property
     def converged(self) -> bool:
-        """Whether the constraints and the Kuhn-Tucker conditions are satisfied."""
+        """True if the design satisfies the constraints and the Kuhn-Tucker conditions."""
         return self.status == "converged"
 
     @cached_property

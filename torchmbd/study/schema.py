@@ -232,7 +232,7 @@ class Optimizer(Section):
 
 
 class Starts(Section):
-    """Where the optimizer starts: the design of the file (start 0) and more points between the bounds.
+    """Starts of the optimizer: the design of the file (start 0) and more points between the bounds.
 
     sampler  `sobol` or `latin_hypercube` points between the bounds, `given` points, or `none`: the first design alone
     points   the points of `given`: a list of numbers for each, in the units of `design`
@@ -286,7 +286,7 @@ Store = Annotated[
 
 
 class Tracking(Section):
-    """Where the runs go; see torchmbd.tracking.store for the default."""
+    """The store of the runs; torchmbd.tracking.store states the default."""
 
     experiment: Annotated[str, Len(1, 200), Field(pattern=r"^[^\x00-\x1f]+$")] = "torchmbd"
     uri: Store | None = None

@@ -61,17 +61,22 @@ def file(tmp_path):
     return written
 
 
+def assert_accelerations(motion, expected, **tolerances):
+    """Compare accelerations of origins and rates of spins at the start, body by body."""
+    for name, (place, spin) in expected.items():
+        view = motion.body(name)
+        result = view.at((0.0, 0.0, 0.0)).acceleration[0, 0].numpy(), view.omega_rate[0, 0].numpy()
+        np.testing.assert_allclose(result[0], place, **tolerances)
+        np.testing.assert_allclose(result[1], spin, **tolerances)
+
+
 @pytest.mark.thorough
 def test_bodies_accelerate_as_in_mujoco(file):
     given = {"positions": Q, "velocities": RATE, "controls": CONTROLS}
     with pytest.warns(UserWarning, match="left out: contact between geoms$"):
         system = mbd.read_mjcf(file(MECHANISM), stop_stiffness=None, **given)
     motion = mbd.simulate(system, 1e-6, steps=1, gradients="none", backend="eager")
-    for name, (place, spin) in ACCELERATIONS.items():
-        view = motion.body(name)
-        result = view.at((0.0, 0.0, 0.0)).acceleration[0, 0].numpy(), view.omega_rate[0, 0].numpy()
-        np.testing.assert_allclose(result[0], place, rtol=1e-11, atol=1e-9)
-        np.testing.assert_allclose(result[1], spin, rtol=1e-11, atol=1e-9)
+    assert_accelerations(motion, ACCELERATIONS, rtol=1e-11, atol=1e-9)
 
 
 def test_the_force_of_an_actuator_ends_at_its_limits():
@@ -162,11 +167,7 @@ def test_a_gripper_moves_as_the_hard_limit_of_mujoco(file):
     system = mbd.read_mjcf(file(GRIPPER), controls={"m": 0.3}, **start)
     assert system.describe().freedoms == 2
     motion = mbd.simulate(system, 1e-6, steps=1, gradients="none", backend="eager")
-    for name, (place, spin) in HARD.items():
-        view = motion.body(name)
-        result = view.at((0.0, 0.0, 0.0)).acceleration[0, 0].numpy(), view.omega_rate[0, 0].numpy()
-        np.testing.assert_allclose(result[0], place, rtol=1e-10, atol=1e-10)
-        np.testing.assert_allclose(result[1], spin, rtol=1e-10, atol=1e-10)
+    assert_accelerations(motion, HARD, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.thorough

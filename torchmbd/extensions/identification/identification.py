@@ -92,7 +92,7 @@ class Identification(Summary):
 
     @property
     def converged(self) -> bool:
-        """Whether the best start ended at a minimum."""
+        """True if the best start ended at a minimum."""
         return self.status == "converged"
 
     @property
@@ -271,7 +271,7 @@ class Identification(Summary):
 
     @property
     def notes(self) -> list[str]:
-        """What measurements say of their fit, such as how modes were paired, and what was left out."""
+        """Remarks of the measurements on their fit, such as pairs of modes and data that the fit leaves out."""
         of_channels = [f"{row.name}: {row.block.note}" for row in self.problem.rows if row.block.note]
         return [*of_channels, *self._doubts, *self.fit.residuals.notes]
 

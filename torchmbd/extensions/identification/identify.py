@@ -72,8 +72,8 @@ def identify(
     unknowns         names of parameters of their systems; all entries of each. Delays, gains and offsets of channels that are
                      mbd.variable(...) are unknowns too: "<channel>.delay"; of several experiments
                      "<experiment>.<channel>.delay"
-    bounds, start, links   as of DesignSpace, by names of parameters; a delay needs finite bounds. What must be positive, such
-                     as a mass or a modulus, is at least 0
+    bounds, start, links   as of DesignSpace, by names of parameters; a delay needs finite bounds. Masses, moduli and
+                     other positive parameters are at least 0
     priors           parameter name -> (mean, standard deviation): what is known of an unknown before
     scales           parameter name -> size of its changes; default: |start|, or by the data where the start is zero, or tiny
                      beside the range of its bounds, and of offsets and delays

@@ -34,7 +34,7 @@ def _readable(spec: dict[str, Any]) -> dict[str, Any]:
 
 
 class Prior(Section):
-    """What is known of an unknown before anything is measured.
+    """The distribution of an unknown before any measurement.
 
     mean       its mean, in the unit of the unknown
     deviation  its standard deviation
