@@ -1,6 +1,7 @@
 """How a process of torchmbd uses the machine: threads, a folder for what serves all processes, brief warnings.
 
-Operators of torch run in one thread. Compiled code runs in `thread_count()` threads, and gives the same bits with any number.
+An operator of torch uses one thread. Compiled code and groups of designs (math/threads.py) share `thread_count()` threads, and
+give the same bits with any number.
 Checked in tests/test_process.py, tests/extensions/native/test_threads.py.
 """
 
@@ -80,13 +81,14 @@ def one_thread() -> Iterator[None]:
 
 @checked_signature
 class threads:
-    """Run compiled code in `count` threads of this process from now on, or only inside `with mbd.threads(count):`.
+    """Share designs of a batch among `count` threads of this process from now on, or only inside `with mbd.threads(count):`.
 
     count   1 or more; more than the cores of this process are slower, not wrong
 
     Without it the environment variable TORCHMBD_THREADS holds, and without that one `cores()`. Workers have one thread unless
-    TORCHMBD_THREADS is set. Results have the same bits with any number. Operators of torch, and laws in Python that compiled
-    code calls back, run in one thread: `motion.stats["threads"]`. Raises InputError for another count.
+    TORCHMBD_THREADS is set. Results have the same bits with any number. Threads share compiled code, and modes with their
+    derivatives. Other operators of torch, and laws in Python that compiled code calls back, run in one thread:
+    `motion.stats["threads"]`. Raises InputError for another count.
 
     >>> with mbd.threads(2):
     ...     motion = mbd.simulate(mbd.examples.pendulum(), 0.1, steps=20)

@@ -28,7 +28,8 @@ from torchmbd.process import use_one_thread
 DESIGNS, FIGURE, SERIAL, STEPS = (32, 128), 32, 128, 500
 MANY = 16  # cores for which the gain is predicted
 ANGLES = "rod.laminate.angles"
-_SHARED = [f"torchmbd.extensions.native.{name}" for name in ("steps", "backward", "compiled_products")]
+_NATIVE = [f"torchmbd.extensions.native.{name}" for name in ("steps", "backward", "compiled_products")]
+_SHARED = ["torchmbd.math.threads", *_NATIVE]
 _worker: dict[str, Any] = {}
 
 
@@ -117,14 +118,16 @@ def _serial_share(problem: mbd.Problem, X: np.ndarray, repeat: int) -> float:
 def _clock() -> Iterator[list[float]]:
     """Processor seconds of the calling thread inside of `run_blocks`, which one thread runs."""
     shared, modules = [0.0], [import_module(name) for name in _SHARED]
-    real = modules[0].run_blocks
+    real, depth = modules[0].run_blocks, [0]
 
     def timed(*arguments: Any, **options: Any) -> int:
-        start = time.thread_time()
+        start, depth[0] = time.thread_time(), depth[0] + 1
         try:
             return real(*arguments, **options)
         finally:
-            shared[0] += time.thread_time() - start
+            depth[0] -= 1
+            if depth[0] == 0:  # not of a piece that shares its own work
+                shared[0] += time.thread_time() - start
 
     with ExitStack() as patches:
         for module in modules:

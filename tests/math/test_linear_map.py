@@ -52,6 +52,20 @@ def test_lanes_of_lanes_where_only_one_of_the_two_has_them():
     assert_close(pushed, torch.stack([jvp(lambda x: plain(x, Y), (X,), (t,))[1] for t in several]))
 
 
+def test_members_of_a_batch_that_follow_the_lanes_in_memory_are_not_copied():
+    places = []
+
+    class Noted(Sum):
+        def __call__(self, *x):
+            places.extend(t.data_ptr() for t in x)
+            return super().__call__(*x)
+
+    x, y = (torch.stack([t, 2 * t, -t], 1) for t in (X, Y))  # [lane, member, :]
+    result = vmap(lambda x, y: apply_linear(Noted(), x, y), in_dims=1)(x, y)
+    assert places == [x.data_ptr(), y.data_ptr()]
+    assert_close(result, torch.stack([x[:, k] @ P + y[:, k] @ Q for k in range(3)]))
+
+
 ROWS, TERMS = torch.tensor([4, 0, 0, 2, 4, 4, 2]), torch.tensor([1, 3, 3, 0, 2, 1, 5])
 MATRIX = torch.zeros(6, 7, dtype=torch.float64).index_put((ROWS, TERMS), torch.ones(7).double(), accumulate=True)
 

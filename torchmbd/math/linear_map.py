@@ -59,7 +59,7 @@ class _Mapped(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, *x: Tensor) -> tuple[Tensor, int]:
-        return apply_as_lanes(partial(apply_linear, linear), info, in_dims[1:], *x)
+        return apply_as_lanes(partial(apply_linear, linear), info, in_dims[1:], *x, ordered=False)
 
 
 class _Adjoint(torch.autograd.Function):
@@ -81,7 +81,7 @@ class _Adjoint(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, y: Tensor) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
-        return apply_as_lanes(partial(_Adjoint.apply, linear), info, in_dims[1:], y)
+        return apply_as_lanes(partial(_Adjoint.apply, linear), info, in_dims[1:], y, ordered=False)
 
 
 class Sums:

@@ -36,15 +36,20 @@ class FirstDerivative(Function):
 
 
 def apply_as_lanes(
-    function: Callable[..., Any], info: Any, in_dims: Sequence[int | None], *tensors: Tensor
+    function: Callable[..., Any], info: Any, in_dims: Sequence[int | None], *tensors: Tensor, ordered: bool = True
 ) -> tuple[Any, Any]:
-    """The vmap rule of a function of tensors [lane, ...], one or several: members of the batch are further lanes."""
+    """The vmap rule of a function of tensors [lane, ...], one or several: members of the batch are further lanes.
+
+    ordered   False: the function does not name lanes in errors, and takes them in their order in memory without copying them
+    """
     size = info.batch_size
-    wide = (batch_first(x, dim, size).flatten(0, 1) for x, dim in zip(tensors, in_dims, strict=True))
-    result = function(*wide)
+    wide = [batch_first(x, dim, size) for x, dim in zip(tensors, in_dims, strict=True)]
+    place = int(not ordered and all(x.transpose(0, 1).is_contiguous() for x in wide))  # of the batch
+    result = function(*(x.transpose(0, place).flatten(0, 1) for x in wide))
+    shape = (-1, size) if place else (size, -1)
     if isinstance(result, tuple):
-        return tuple(y.unflatten(0, (size, -1)) for y in result), (0,) * len(result)
-    return result.unflatten(0, (size, -1)), 0
+        return tuple(y.unflatten(0, shape) for y in result), (place,) * len(result)
+    return result.unflatten(0, shape), place
 
 
 def batch_first(x: Tensor, dim: int | None, size: int) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable
 from importlib import import_module
@@ -15,8 +14,7 @@ import torchmbd as mbd
 from tests.extensions.native.test_feedback import branching, sprung
 from tests.mechanisms import pendulum, spoilt
 from torchmbd.examples.slider_crank import build
-from torchmbd.extensions.native import threads
-from torchmbd.extensions.native.threads import run_blocks
+from torchmbd.math import threads
 
 ROD = "rod.laminate.angles"
 ANGLES = mbd.deg([30, -20, 50]) + torch.linspace(0.0, 0.5, 11, dtype=torch.float64)[:, None]  # three blocks
@@ -124,48 +122,3 @@ def test_laws_of_python_are_called_in_the_thread_of_the_caller(native: None) -> 
 
     with_each_count(run)
     assert callers == {threading.get_ident()}
-
-
-@pytest.mark.parametrize("count", COUNTS)
-def test_every_block_is_made_once_and_the_first_failure_ends_it(count: int) -> None:
-    made: list[int] = []
-
-    def run(begin: int, end: int, _: int) -> int:
-        made.extend(range(begin, end))
-        return 2 if begin <= 5 < end else 0
-
-    assert run_blocks(lambda begin, end, _: made.extend(range(begin, end)), 50, count) == 0
-    assert sorted(made) == list(range(50))
-    made.clear()
-    assert run_blocks(run, 50, count) == 2
-    assert len(made) == len(set(made))
-
-
-@pytest.mark.parametrize("count", COUNTS)
-def test_an_exception_in_any_thread_reaches_the_caller_when_all_have_ended(count: int) -> None:
-    begun: list[int] = []
-    ended: list[int] = []
-
-    def run(begin: int, end: int, _: int) -> None:
-        begun.append(begin)
-        if len(begun) == count:  # the last of them to begin
-            ended.append(begin)
-            raise ArithmeticError("block")
-        while len(begun) < count:
-            threading.Event().wait(1e-3)
-        threading.Event().wait(0.01)
-        ended.append(begin)
-
-    with pytest.raises(ArithmeticError, match="block"):
-        run_blocks(run, 50, count)
-    assert sorted(ended) == sorted(begun)
-
-
-def test_a_child_process_has_threads_of_its_own() -> None:
-    assert run_blocks(lambda begin, end, _: None, 8, 2) == 0
-    if (child := os.fork()) == 0:
-        made: list[int] = []
-        run_blocks(lambda begin, end, _: made.extend(range(begin, end)), 8, 2)
-        os._exit(int(sorted(made) != list(range(8))))
-    _, status = os.waitpid(child, 0)
-    assert os.waitstatus_to_exitcode(status) == 0

@@ -5,7 +5,6 @@ functions.py           torch functions of the core, traced with sizes that are k
 mechanism.py           counts and tables of a mechanism, by which its kind's code runs; elimination.py: of its factors
 steps.py, rates.py     calls of the libraries; also backward.py, steps_of_size.py, feedback.py
 compiled_products.py   products of the structure stage, written by hand
-threads.py             blocks of lanes, and designs of products, on threads
 """
 
 from torchmbd.extensions.native.backend import NativeBackend as NativeBackend

@@ -1,6 +1,6 @@
 """The adjoint through equal steps by compiled code (adjoint.cpp): the same numbers as AdjointSolver.
 
-Threads share the blocks of lanes (threads.py).
+Threads share the blocks of lanes (math/threads.py).
 Checked in tests/sensitivity/test_adjoint.py, tests/extensions/native/test_threads.py.
 """
 
@@ -22,10 +22,10 @@ from torchmbd.extensions.native.simd_layout import (
     prescribed_blocks,
     varied_blocks,
 )
-from torchmbd.extensions.native.threads import run_blocks
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Cotangents, Grid, MotionCotangents, rows_of
 from torchmbd.integrate.lanes import expanded
 from torchmbd.math.pair import value
+from torchmbd.math.threads import run_blocks
 from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.state import State
 

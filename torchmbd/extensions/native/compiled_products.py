@@ -1,7 +1,7 @@
 """Products of the structure stage (math/products.py) as compiled code (compiled_products.cpp): one design after another.
 
 torch computes each operation for a whole batch of designs, which does not fit into the cache of the processor; one design
-after another does, and there is no call for each block. Threads share the designs of a batch (threads.py).
+after another does, and there is no call for each block. Threads share the designs of a batch (math/threads.py).
 `compiled_products` returns None if there is no compiled code (no compiler, switched off, another device): torch is used then.
 Checked in tests/extensions/native/test_compiled_products.py.
 """
@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.extensions.native.codegen.compiler import Native
-from torchmbd.extensions.native.threads import run_blocks
 from torchmbd.math.products import Factor, Products
 from torchmbd.math.sparse import Pattern
+from torchmbd.math.threads import run_blocks
 
 SMALL = 1_000_000  # products that take less time than to wake another thread, about 0.1 ms
 _native = Native("extensions/native/compiled_products.cpp")

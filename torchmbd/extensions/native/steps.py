@@ -1,8 +1,8 @@
 """Steps of one-step methods by compiled code (library.py): the same numbers as by EagerStepper (stepper.py).
 
 Lanes go in blocks (simd_layout.py), each through many steps at a time, so that a block's numbers stay near the processor; one
-call of the library makes all steps of some blocks between two checks of the tangents. Threads share the blocks (threads.py),
-unless laws are called back: these run in the calling thread.
+call of the library makes all steps of some blocks between two checks of the tangents. Threads share the blocks
+(math/threads.py), unless laws are called back: these run in the calling thread.
 Checked in tests/extensions/native/test_steps.py, test_threads.py.
 """
 
@@ -24,11 +24,11 @@ from torchmbd.extensions.native.simd_layout import (
     prescribed_blocks,
     varied_blocks,
 )
-from torchmbd.extensions.native.threads import run_blocks
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import CHECK, ITERATION_ERROR, EagerStepper
 from torchmbd.math.pair import Pair, value
+from torchmbd.math.threads import run_blocks
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Schedule
 from torchmbd.progress import reach

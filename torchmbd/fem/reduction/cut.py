@@ -183,20 +183,20 @@ class PartModes(Modes):
     def lowest(self) -> tuple[Tensor, Tensor]:
         of_modes, of_wide = self.modes.lowest(), self.wide.lowest()
         sizes = [max(x.shape[-1], y.shape[-1]) for x, y in zip(of_modes, of_wide, strict=True)]
-        values, vectors = (_widened(x, size) for x, size in zip(of_modes, sizes, strict=True))
-        values[self.near], vectors[self.near] = (_widened(x, size) for x, size in zip(of_wide, sizes, strict=True))
+        values, vectors = (widened(x, size) for x, size in zip(of_modes, sizes, strict=True))
+        values[self.near], vectors[self.near] = (widened(x, size) for x, size in zip(of_wide, sizes, strict=True))
         return values, vectors
 
     def deflated_solve(self, F: Tensor) -> Tensor:
         n = int(self.modes.counts.max())
         of_others = F[..., :n].clone()
         of_others[self.near] = 0.0  # their modes are too near for it
-        Z = _widened(self.modes.deflated_solve(of_others), F.shape[3])
+        Z = widened(self.modes.deflated_solve(of_others), F.shape[3])
         m = int(self.wide.counts.max())
         Z[self.near, ..., :m] = self.wide.deflated_solve(F[self.near][..., :m])
         return Z
 
 
-def _widened(x: Tensor, size: int) -> Tensor:
+def widened(x: Tensor, size: int) -> Tensor:
     """A copy of x [..., n] with zeros up to [..., size]."""
     return torch.nn.functional.pad(x, (0, size - x.shape[-1])).clone()

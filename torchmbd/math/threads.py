@@ -1,26 +1,35 @@
-"""Blocks of lanes on threads: a call of compiled code releases the lock of Python, so that several run at once.
+"""Blocks of lanes on threads: compiled code and operators of torch release the lock of Python, so that several run at once.
 
     piece     a range of blocks (or lanes); a thread takes the next piece when it has finished one
     scratch   memory of a thread, used again by each of its pieces
+    group     at most GROUP lanes, whose operators of torch run together
 
 A block depends on no other and a thread changes nothing but its blocks, so that results have the same bits with any number of
-threads. The calling thread takes pieces, too: where all others are busy, it makes all of them.
-Checked in tests/extensions/native/test_threads.py.
+threads. Groups follow from the number of lanes alone, for the same reason. The calling thread takes pieces, too: where all
+others are busy, it makes all of them. A piece that shares its own work divides the threads which its team leaves.
+Checked in tests/math/test_threads.py, tests/extensions/native/test_threads.py.
 """
 
 from __future__ import annotations
 
 import os
+import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
+from itertools import pairwise
+from typing import Any, TypeVar
 
 import torch
 
 from torchmbd.process import cores, thread_count
 
 PIECES = 4  # for each thread, so that none waits long for the last piece
+GROUP = 16  # lanes whose operators of torch stay in the cache of a processor, and share the cost of a call
+_team = threading.local()  # threads: those that a piece may use, while one runs
+
+Result = TypeVar("Result")
 
 
 @cache
@@ -37,12 +46,13 @@ def run_blocks(
 ) -> int:
     """Call run(begin, end, address of scratch) for pieces of all blocks; return the first status that is not 0, or 0.
 
-    threads   at most so many; None: `thread_count()`
+    threads   at most so many; None: `thread_count()`, and inside of a piece its part of them
     scratch   bytes that a thread needs
 
     After such a status or an exception no other piece begins. When this returns, no thread runs a piece.
     """
-    count = min(thread_count() if threads is None else threads, blocks)
+    most = getattr(_team, "threads", None) or thread_count()
+    count = min(most if threads is None else threads, blocks)
     memory = [torch.empty(-(-scratch // 8), dtype=torch.float64) for _ in range(count)]
     if count == 1:
         return run(0, blocks, memory[0].data_ptr()) or 0
@@ -51,7 +61,8 @@ def run_blocks(
     statuses: list[int] = []
 
     def take(number: int) -> None:
-        address = memory[number].data_ptr()
+        address, before = memory[number].data_ptr(), getattr(_team, "threads", None)
+        _team.threads = max(most // count, 1)
         try:
             while piece := _next(pieces):
                 if status := run(*piece, address):
@@ -59,6 +70,7 @@ def run_blocks(
                     return
         finally:
             pieces.clear()
+            _team.threads = before
 
     others = [_pool().submit(take, number) for number in range(1, count)]
     try:
@@ -76,3 +88,25 @@ def _next(pieces: deque[tuple[int, int]]) -> tuple[int, int] | None:
         return pieces.popleft()
     except IndexError:  # none is left
         return None
+
+
+def lane_groups(lanes: int) -> list[slice]:
+    """Return the groups of a batch: as few as possible, of nearly equal size."""
+    count = -(-lanes // GROUP)
+    ends = [lanes * k // count for k in range(count + 1)]
+    return [slice(begin, end) for begin, end in pairwise(ends)]
+
+
+def map_threads(function: Callable[..., Result], *sequences: Sequence[Any]) -> list[Result]:
+    """Return [function(x, y, ...)] of the members of sequences, which threads share; torch records no derivatives inside."""
+    arguments = list(zip(*sequences, strict=True))
+    results: list[Any] = [None] * len(arguments)
+    inference = torch.is_inference_mode_enabled()  # a thread has its own mode
+
+    def run(begin: int, end: int, _: int) -> None:
+        with torch.inference_mode(inference), torch.no_grad():
+            for k in range(begin, end):
+                results[k] = function(*arguments[k])
+
+    run_blocks(run, len(arguments))
+    return results
