@@ -101,7 +101,7 @@ PATH = (
             ("integrate/one_step.py", "OneStep"),
             ("integrate/stepper.py", "EagerStepper"),
             ("integrate/step.py", "Step"),
-            ("multibody/system/equations.py", "dynamic_residual"),
+            ("multibody/equations/equations.py", "dynamic_residual"),
         ),
         "q, v, a, lam [lanes, times, n]",
         (

@@ -19,10 +19,10 @@ import torchmbd as mbd
 from tests.mechanisms import box, plate, random_state, tensor, turned
 from torchmbd.math.elementwise import partial_derivatives
 from torchmbd.math.pair import Pair
+from torchmbd.multibody.equations import equations
 from torchmbd.multibody.forces import FORCES, Gap, Pieces, Spring, Table
 from torchmbd.multibody.forces.action import KINDS, Action
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.saddle_blocks import Slopes
+from torchmbd.multibody.saddle.blocks import Slopes
 
 COUNT, LANES, TANGENTS = 3, 2, 2
 

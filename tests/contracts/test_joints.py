@@ -20,8 +20,8 @@ import torchmbd as mbd
 from tests.mechanisms import box, cross_matrix, plate, tensor, turned
 from torchmbd.errors import InputError
 from torchmbd.math.rotation import euler_parameters
+from torchmbd.multibody.equations import equations
 from torchmbd.multibody.joints import JOINTS
-from torchmbd.multibody.system import equations
 
 LENGTH = 0.4
 START = LENGTH * tensor(0.48, -0.6, 0.64)  # from point a to point b of a distance joint, in the axes of frame a

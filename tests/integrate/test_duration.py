@@ -14,7 +14,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, finished, pendulum
-from tests.multibody.system.test_initial import four_bar
+from tests.multibody.start.test_initial import four_bar
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.errors import InputError
 from torchmbd.examples import slider_crank

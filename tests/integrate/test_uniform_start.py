@@ -12,7 +12,7 @@ from tests.mechanisms import tensor
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.prepared import prepare
 from torchmbd.integrate.step import Model
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
 
 GROUND = mbd.Ground()
 

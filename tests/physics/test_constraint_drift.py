@@ -7,7 +7,7 @@ import torch
 
 import torchmbd as mbd
 from torchmbd.integrate import Trajectory
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

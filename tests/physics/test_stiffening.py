@@ -13,7 +13,7 @@ from torch import Tensor
 import torchmbd as mbd
 from tests.mechanisms import SOFT, box, laminate, plate
 from tests.validation.test_flexible_benchmarks import BLADE, GROUND, SpinUp, exact_blade, from_hub
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from tests.mechanisms import box, laminate, pendulum, plate, soft_slider_crank, sprung
-from tests.multibody.system.test_initial import four_bar
+from tests.multibody.start.test_initial import four_bar
 from tests.sensitivity.test_law_variables import arm, waves
 from torchmbd.multibody.forces import Scaled, Spring
 from torchmbd.multibody.system import System

@@ -12,7 +12,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import laminate, pendulum, plate, soft_slider_crank
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.equations.topology import Topology
 
 DURATION, STEPS = 0.004, 16
 

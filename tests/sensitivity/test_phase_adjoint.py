@@ -17,7 +17,7 @@ from tests.sensitivity.test_events import DRIVEN, DURATION, NAME, PHASES, Fallin
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.segment import segments_of
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

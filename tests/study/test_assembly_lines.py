@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from tests.multibody.system.test_closing import crane
-from tests.multibody.system.test_initial import four_bar
+from tests.multibody.start.test_closing import crane
+from tests.multibody.start.test_initial import four_bar
 from torchmbd.study.estimate import _print_assembly
 
 

@@ -14,7 +14,7 @@ import torch
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import bend, given, matrix, twisted
 from tests.fem.exact_beam.test_vibrations import INCH, blade
-from tests.multibody.system.test_steady_rotation import rotor
+from tests.multibody.equilibrium.test_steady_rotation import rotor
 from tests.validation.beam_motions import PEAKS, right_angle
 from tests.validation.test_flexible_beam import spin_up
 

@@ -20,7 +20,7 @@ from tests.validation.rigid_benchmarks import (
     simple_pendulum,
     simple_pendulum_at,
 )
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
 
 TIGHT = {"rtol": 1e-10, "atol": 1e-11}
 

@@ -21,8 +21,8 @@ from torchmbd.integrate.step import Model, Weights, algorithmic
 from torchmbd.integrate.stepper import EagerStepper, resume
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.pull_back import pull_back
+from torchmbd.multibody.equations.topology import Schedule, Topology
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Schedule, Topology
 from torchmbd.results.history import History, segments
 from torchmbd.results.state import State
 

@@ -23,7 +23,8 @@ from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true, in_transform, is_differentiated, untransformed
 from torchmbd.math.pair import value
 from torchmbd.math.plausible_units import check_parameter
-from torchmbd.multibody.system import Start, System
+from torchmbd.multibody.start.start import Start
+from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import MotionData
 
 SHORTEST, LONGEST = 1e-12, 1e9  # steps [s], whose powers in the equations neither vanish nor overflow

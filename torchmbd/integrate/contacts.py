@@ -23,13 +23,13 @@ from torch import Tensor
 
 from torchmbd.math.pair import value
 from torchmbd.math.variable import law_key
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.times_as_lanes import as_lanes
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.forces.contact_law import ContactControl
 from torchmbd.multibody.forces.laws import Gap, Scaled
 from torchmbd.multibody.forces.parametric_law import ParametricLaw
-from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.times_as_lanes import as_lanes
 
 STEPS = 20  # in contact
 MOST_SUBSTEPS = 256  # steps for one

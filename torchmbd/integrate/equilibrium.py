@@ -28,11 +28,17 @@ from torchmbd.integrate.variables import lanes_of_batch, variable_names
 from torchmbd.math.checked_numbers import reals
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.pair import Pair, value
+from torchmbd.multibody.equilibrium.equilibrium import (
+    SPIN,
+    Balance,
+    equilibrium_coordinates,
+    find_equilibria,
+    reactions,
+)
+from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations
+from torchmbd.multibody.equilibrium.steady_rotation import TURNING, SteadyRotation
+from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.system import Dynamics, System
-from torchmbd.multibody.system.equilibrium import SPIN, Balance, equilibrium_coordinates, find_equilibria, reactions
-from torchmbd.multibody.system.expansion import Expansion
-from torchmbd.multibody.system.linearized import Linearization, Vibrations
-from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.registry import Registry
 from torchmbd.results.elastic_limits import warn_of_displacements, warn_of_loads, warn_of_spin

@@ -17,8 +17,8 @@ from torch import Tensor
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.stepper import ITERATION_ERROR, ROUNDING, TURN
 from torchmbd.math.pair import value
+from torchmbd.multibody.equations.equations import split_v
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.equations import split_v
 from torchmbd.results.history import History
 
 GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3

@@ -21,9 +21,9 @@ from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.lanes import join_states, lane_numbers, lanes_of, pick_lanes
 from torchmbd.integrate.ode import RightHandSide, flow
 from torchmbd.math.pair import Pair, cat, value
+from torchmbd.multibody.equations.times_as_lanes import at_time
+from torchmbd.multibody.equations.topology import Schedule
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.times_as_lanes import at_time
-from torchmbd.multibody.system.topology import Schedule
 from torchmbd.results.history import Record
 from torchmbd.results.state import State
 

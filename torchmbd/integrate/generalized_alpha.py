@@ -16,7 +16,7 @@ from typing import Any
 from torchmbd.errors import InputError
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.step import Weights
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.equations.topology import Topology
 
 _RADIUS, _OF_BEAMS = 0.9, 0.6
 

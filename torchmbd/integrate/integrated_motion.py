@@ -20,8 +20,8 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.retries import LaneResults, integrate_lanes
 from torchmbd.integrate.step_count import choose_steps
+from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.system import Dynamics, System
-from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import Switch
 

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from torchmbd.integrate.outputs import switches_with
 from torchmbd.integrate.variables import entry_labels
+from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.system import Dynamics, System
-from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
 from torchmbd.results.time_rows import IntegratedSignals, StepStates

@@ -26,9 +26,9 @@ from torch import Tensor
 from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.statistics import Statistics
+from torchmbd.multibody.equations.equations import Data
+from torchmbd.multibody.equations.topology import Schedule, Topology
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.equations import Data
-from torchmbd.multibody.system.topology import Schedule, Topology
 from torchmbd.results.history import History, Record
 from torchmbd.results.motion_data import Switch
 from torchmbd.results.state import State

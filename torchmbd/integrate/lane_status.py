@@ -23,8 +23,9 @@ from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.stepper import ITERATION_ERROR, TURN
 from torchmbd.math.pair import value
-from torchmbd.multibody.system import Dynamics, equations
-from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.saddle.expansion import Expansion
+from torchmbd.multibody.system import Dynamics
 from torchmbd.results.energies import energies
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, has_failed

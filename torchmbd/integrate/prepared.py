@@ -1,6 +1,6 @@
 """The initial state of a motion by steps, of the whole system and of the condensed one.
 
-Checked in tests/multibody/system/test_condensation.py.
+Checked in tests/multibody/saddle/test_condensation.py.
 """
 
 from __future__ import annotations

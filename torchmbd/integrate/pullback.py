@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchmbd.integrate.step import Model, Step
 from torchmbd.math.pair import apply, value
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.equations.topology import Prescribed
 from torchmbd.results.state import State
 
 MOST = 12  # corrections of mu

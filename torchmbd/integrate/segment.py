@@ -23,16 +23,16 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrate.phase import Phase
+from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.forces.action import Action, Law
 from torchmbd.multibody.forces.laws import check_law
 from torchmbd.multibody.joints import Drive, Joint
 from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.joints.lock import Lock
+from torchmbd.multibody.saddle.condensation import Condensation, condense
+from torchmbd.multibody.saddle.matrix import Saddle
+from torchmbd.multibody.start.initial import InitialConditions
 from torchmbd.multibody.system import Dynamics, System
-from torchmbd.multibody.system.condensation import Condensation, condense
-from torchmbd.multibody.system.initial import InitialConditions
-from torchmbd.multibody.system.saddle import Saddle
-from torchmbd.multibody.system.topology import Topology
 
 DURATION = "duration of the motion"  # among the data [1, 1], where the motion has a gradient by it
 MOST_LISTS = 8  # lists of phases whose segments a system keeps

@@ -53,8 +53,9 @@ from torchmbd.integrate.step_count import FEWEST, rounding
 from torchmbd.integrate.variables import entry_labels, lanes_of_batch, refuse_other_designs, variable_names
 from torchmbd.math.gradients import is_differentiated
 from torchmbd.math.module_call import exclusive, outside_transforms
-from torchmbd.multibody.system import Start, System
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.start.start import Start
+from torchmbd.multibody.system import System
 from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.progress import motion_shown
 from torchmbd.results.elastic_limits import name_causes, warn_of_displacements, warn_of_loads, warn_of_spin

@@ -23,12 +23,12 @@ from torch import Tensor
 
 from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, apply, cat, combine, value
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.topology import Prescribed, Topology
+from torchmbd.multibody.saddle.blocks import Slopes
+from torchmbd.multibody.saddle.elimination import Eliminated, Factored
+from torchmbd.multibody.saddle.matrix import Saddle
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.elimination import Eliminated, Factored
-from torchmbd.multibody.system.saddle import Saddle
-from torchmbd.multibody.system.saddle_blocks import Slopes
-from torchmbd.multibody.system.topology import Prescribed, Topology
 from torchmbd.results.state import State
 
 

@@ -27,8 +27,9 @@ from torchmbd.integrate.jumps import held_times_of, steps_at
 from torchmbd.integrate.lane_status import status_of_lanes
 from torchmbd.integrate.ode import fastest_vibration
 from torchmbd.integrate.stepper import TURN
-from torchmbd.multibody.system import Dynamics, equations
-from torchmbd.multibody.system.times_as_lanes import as_lanes
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.times_as_lanes import as_lanes
+from torchmbd.multibody.system import Dynamics
 from torchmbd.progress import say
 from torchmbd.results.motion_data import OK, has_failed
 

@@ -20,10 +20,10 @@ from torchmbd.integrate.pullback import PulledBack, StepPullback
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import algorithmic
 from torchmbd.math.pair import Pair, value
+from torchmbd.multibody.equations.topology import Prescribed, Schedule
+from torchmbd.multibody.saddle.elimination import Elimination, factored, pays
+from torchmbd.multibody.saddle.factors import regularized
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.elimination import Elimination, factored, pays
-from torchmbd.multibody.system.saddle_factors import regularized
-from torchmbd.multibody.system.topology import Prescribed, Schedule
 from torchmbd.progress import reach
 from torchmbd.results.history import History, Record
 from torchmbd.results.state import State

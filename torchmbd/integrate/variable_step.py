@@ -19,11 +19,11 @@ from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.step import Model, Step, Weights, algorithmic
 from torchmbd.math.pair import Pair, apply, value
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.times_as_lanes import at_own_times
+from torchmbd.multibody.equations.topology import Schedule, Topology
+from torchmbd.multibody.saddle.elimination import Factored, factored
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.elimination import Factored, factored
-from torchmbd.multibody.system.times_as_lanes import at_own_times
-from torchmbd.multibody.system.topology import Schedule, Topology
 from torchmbd.results.history import Record
 from torchmbd.results.state import State
 

@@ -1,6 +1,6 @@
 """A flexible beam along a trajectory: positions, rotations, displacements, strains and section forces.
 
-    f = K (l - l_0)     of each element (multibody/system/beams.py); its dampers are left out
+    f = K (l - l_0)     of each element (multibody/equations/beams.py); its dampers are left out
 
 Differentiable as the motion is. Checked in tests/multibody/bodies/test_flexible_beam.py.
 """

@@ -57,9 +57,9 @@ from torchmbd.errors import warn
 from torchmbd.fem.elements import GivenElements
 from torchmbd.math.pair import matvec_t, value
 from torchmbd.math.rotation import skew
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.modal_data import frame_nodes
 from torchmbd.multibody.forces.contact_law import ContactControl
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.modal_data import frame_nodes
 from torchmbd.results.motion_data import has_failed
 from torchmbd.results.reaction import in_lanes, placement_at_times
 

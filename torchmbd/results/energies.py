@@ -26,10 +26,10 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import in_transform, is_differentiated
 from torchmbd.math.pair import dot, matvec, value
-from torchmbd.multibody.system import beams, equations
-from torchmbd.multibody.system.moments import bent_stiffness, moments
-from torchmbd.multibody.system.times_as_lanes import as_lanes
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.equations import beams, equations
+from torchmbd.multibody.equations.moments import bent_stiffness, moments
+from torchmbd.multibody.equations.times_as_lanes import as_lanes
+from torchmbd.multibody.equations.topology import Topology
 from torchmbd.results.lane_motion import has_checkpoints, has_lane_times, lane_motion
 from torchmbd.results.motion_data import MotionData
 from torchmbd.summary import Summary

@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.pair import Pair, value
-from torchmbd.multibody.system.equations import Data
-from torchmbd.multibody.system.expansion import Expansion, select_rows
-from torchmbd.multibody.system.least_norm import LeastNorm
+from torchmbd.multibody.equations.equations import Data
+from torchmbd.multibody.saddle.expansion import Expansion, select_rows
+from torchmbd.multibody.saddle.least_norm import LeastNorm
 from torchmbd.results.state import State
 
 SEGMENT = 2000  # steps

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import value
-from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import has_failed
 from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals

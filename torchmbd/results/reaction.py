@@ -19,10 +19,11 @@ from torchmbd.errors import InputError, one_of, warn
 from torchmbd.math.pair import value
 from torchmbd.math.rotation import exponential, rotation_matrix
 from torchmbd.multibody.bodies import Frame, Ground
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.times_as_lanes import as_lanes
 from torchmbd.multibody.joints.joint import Joint
 from torchmbd.multibody.joints.lock import Lock
-from torchmbd.multibody.system import System, equations
-from torchmbd.multibody.system.times_as_lanes import as_lanes
+from torchmbd.multibody.system import System
 from torchmbd.results.body_motion import BodyMotion, point_of, triad_of
 from torchmbd.results.motion_data import MotionData
 from torchmbd.results.ringing import warn_of_ringing

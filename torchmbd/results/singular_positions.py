@@ -22,10 +22,10 @@ from torch import Tensor
 
 from torchmbd.errors import warn
 from torchmbd.math.pair import value
+from torchmbd.multibody.equations import equations
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.joints.joint import AttachmentTable
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.rank import RELATIVE, dominant_rows, jacobians
+from torchmbd.multibody.saddle.rank import RELATIVE, dominant_rows, jacobians
 from torchmbd.results.motion_data import MotionData, has_failed
 
 

@@ -35,7 +35,7 @@ from torchmbd.integrate.backend import BACKENDS
 from torchmbd.integrate.registry import DEFAULT, METHODS
 from torchmbd.math import units
 from torchmbd.math.plausible_units import turn_in_radians
-from torchmbd.multibody.system.start import STARTS
+from torchmbd.multibody.start.start import STARTS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.optimization.optimizer import DEFAULT_METHOD
 from torchmbd.optimization.robust import KINDS as KINDS_OF_ROBUST

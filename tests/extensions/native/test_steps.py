@@ -12,7 +12,7 @@ import torch
 import torchmbd as mbd
 from tests.integrate.phases.test_phase import pushed
 from tests.mechanisms import box, rigid_pendulum, spoilt, sprung
-from tests.multibody.system.test_initial import four_bar
+from tests.multibody.start.test_initial import four_bar
 from tests.sensitivity.adjoint_cases import strung
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.examples.slider_crank import build

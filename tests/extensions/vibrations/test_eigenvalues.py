@@ -14,11 +14,11 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import SOFT, laminate, plate, turned
-from tests.multibody.system.test_ground_observer import rotor
+from tests.multibody.equilibrium.test_ground_observer import rotor
 from tests.sensitivity.number_cases import differences
 from tests.sensitivity.test_rest import NAMES, hanging
 from torchmbd.extensions.vibrations.spectrum import Spectrum
-from torchmbd.multibody.system.linearized import Linearization
+from torchmbd.multibody.equilibrium.linearized import Linearization
 
 V, GROUND = mbd.variable, mbd.Ground()
 Values = Callable[[mbd.System, dict[str, Tensor]], Tensor]

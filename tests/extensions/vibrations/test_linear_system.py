@@ -8,7 +8,7 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import rigid_pendulum
-from tests.multibody.system.test_ground_observer import rotor
+from tests.multibody.equilibrium.test_ground_observer import rotor
 from torchmbd.math.rotation import rotation_matrix
 
 GROUND = mbd.Ground()

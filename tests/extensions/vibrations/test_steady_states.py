@@ -10,7 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from torchmbd.extensions.vibrations.steady_states import Shaft, steady_states
-from torchmbd.multibody.system import equilibrium as search
+from torchmbd.multibody.equilibrium import equilibrium as search
 
 SPEEDS = torch.linspace(2.0, 14.0, 13, dtype=torch.float64)
 

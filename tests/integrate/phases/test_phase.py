@@ -14,8 +14,8 @@ from tests.mechanisms import GRAVITY, box, pendulum, random_state, turned
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.phases.switch import data_with_marks
+from torchmbd.multibody.equations import equations
 from torchmbd.multibody.joints.lock import Lock
-from torchmbd.multibody.system import equations
 from torchmbd.results.time_rows import TensorSignals
 
 GROUND = mbd.Ground()

@@ -13,8 +13,8 @@ from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.lanes import lanes_of, pick_lanes, pick_states
 from torchmbd.integrate.phases.switch import jump
+from torchmbd.multibody.equations.times_as_lanes import at_time
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.times_as_lanes import at_time
 from torchmbd.results.state import State
 
 GROUND = mbd.Ground()

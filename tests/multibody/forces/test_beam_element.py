@@ -8,7 +8,7 @@ from torch import nn
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.multibody.system.test_beams import SECTION, chain, coupled
+from tests.multibody.equations.test_beams import SECTION, chain, coupled
 
 GROUND = mbd.Ground()
 

@@ -11,8 +11,8 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, random_state, tensor, turned
+from torchmbd.multibody.equations import equations
 from torchmbd.multibody.forces.contact_law import ContactControl
-from torchmbd.multibody.system import equations
 
 pytestmark = pytest.mark.usefixtures("compiled")
 GROUND = mbd.Ground()

@@ -15,8 +15,8 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.integrate.test_motion import differences
 from tests.mechanisms import GRAVITY, SOFT, box, laminate, plate, tensor, turned
+from torchmbd.multibody.equations import equations
 from torchmbd.multibody.forces.signals import Actuator, Signal
-from torchmbd.multibody.system import equations
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -11,7 +11,7 @@ import torchmbd as mbd
 from tests.fem.elements.plate_cases import moved
 from tests.mechanisms import SOFT, laminate, plate, random_state, tensor, turned
 from torchmbd.fem.elements.quad_shape import gauss
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
 
 GROUND = mbd.Ground()
 

@@ -8,7 +8,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.mechanisms import box, plate
-from tests.multibody.system.test_initial import four_bar
+from tests.multibody.start.test_initial import four_bar
 from torchmbd.errors import InputError
 from torchmbd.examples.slider_crank import build
 

@@ -19,7 +19,8 @@ from torchmbd.math.pair import matvec_t, value
 from torchmbd.math.rotation import skew
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
-from torchmbd.multibody.system import System, equations
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.system import System
 from torchmbd.results.body_motion import BodyMotion
 from torchmbd.results.motion_data import MotionData
 from torchmbd.results.reaction import at_times, in_lanes, placement_at_times

@@ -26,7 +26,7 @@ from torchmbd.integrate.adjoint_solver import AdjointSolver, Cotangents, Grid, M
 from torchmbd.integrate.lanes import expanded
 from torchmbd.math.pair import value
 from torchmbd.math.threads import run_blocks
-from torchmbd.multibody.system.topology import Schedule
+from torchmbd.multibody.equations.topology import Schedule
 from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "rows", "data", "prescribed", "steps", "moving")

@@ -36,9 +36,9 @@ from torchmbd.extensions.native.symbolic import (
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, separate_tangents, value
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.saddle_blocks import Slopes
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.topology import Prescribed
+from torchmbd.multibody.saddle.blocks import Slopes
 from torchmbd.results.state import State
 
 

@@ -43,9 +43,9 @@ from torchmbd.extensions.native.feedback import CalledLaws, Feedback
 from torchmbd.extensions.native.mechanism import Mechanism
 from torchmbd.extensions.native.user_laws import native_law
 from torchmbd.math.digest import digest
+from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Topology
 from torchmbd.process import cache_folder, require_cache_folder, thread_count
 from torchmbd.progress import stage
 
@@ -53,7 +53,9 @@ _SOURCES = (
     "math",
     "multibody/joints/primitive.py",
     "multibody/forces",
-    "multibody/system",
+    "multibody/equations",
+    "multibody/saddle",
+    "multibody/system/dynamics.py",
     "integrate/step.py",
     "extensions/native",
     "extensions/native/codegen",

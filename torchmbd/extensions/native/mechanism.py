@@ -14,12 +14,12 @@ import torch
 from torchmbd.extensions.native.elimination import elimination
 from torchmbd.extensions.native.feedback import CalledLaws
 from torchmbd.extensions.native.symbolic import groups
-from torchmbd.multibody.system import beams
-from torchmbd.multibody.system.index_maps import SparseMap
-from torchmbd.multibody.system.saddle import entry_count, entry_numbers, saddle_entries
-from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
-from torchmbd.multibody.system.topology import Topology
-from torchmbd.multibody.system.unit_forces import UnitForces
+from torchmbd.multibody.equations import beams
+from torchmbd.multibody.equations.index_maps import SparseMap
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.equations.unit_forces import UnitForces
+from torchmbd.multibody.saddle.blocks import SaddleBlocks
+from torchmbd.multibody.saddle.matrix import entry_count, entry_numbers, saddle_entries
 
 
 class _Struct(ctypes.Structure):

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint_solver import varied_numbers
-from torchmbd.multibody.system.topology import Schedule, Topology
+from torchmbd.multibody.equations.topology import Schedule, Topology
 
 # One vector of AVX: of the lanes of a single design three are idle; twice as many make no batch faster, but a single design of
 # ten or more bodies half as fast.

@@ -29,8 +29,8 @@ from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import CHECK, ITERATION_ERROR, EagerStepper
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.threads import run_blocks
+from torchmbd.multibody.equations.topology import Schedule
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Schedule
 from torchmbd.progress import reach
 from torchmbd.results.history import Record
 from torchmbd.results.state import State

@@ -19,16 +19,16 @@ from torchmbd.extensions.native.codegen.program import Program
 from torchmbd.extensions.native.codegen.segment_sum import SymbolicSegmentSum
 from torchmbd.extensions.native.codegen.size import AnySize, Size
 from torchmbd.math.pair import Pair
+from torchmbd.multibody.equations.beams import SHAPES as BEAMS
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.equations.turns import Turns
+from torchmbd.multibody.equations.unit_forces import UnitForces
 from torchmbd.multibody.forces.action import Turn
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.laws import data_fields
 from torchmbd.multibody.forces.parametric_law import ParametricLaw
 from torchmbd.multibody.joints.primitive import Primitive
-from torchmbd.multibody.system.beams import SHAPES as BEAMS
-from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
-from torchmbd.multibody.system.topology import Topology
-from torchmbd.multibody.system.turns import Turns
-from torchmbd.multibody.system.unit_forces import UnitForces
+from torchmbd.multibody.saddle.blocks import SaddleBlocks
 
 
 class LawForm(NamedTuple):

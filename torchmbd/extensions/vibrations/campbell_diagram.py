@@ -29,10 +29,10 @@ from torchmbd.extensions.vibrations.steady_states import Shaft, SteadyStates, st
 from torchmbd.extensions.vibrations.whirl import Whirl
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.module_call import outside_transforms
+from torchmbd.multibody.equilibrium.equilibrium import SPIN
+from torchmbd.multibody.equilibrium.linearized import Linearization
+from torchmbd.multibody.equilibrium.steady_rotation import TURNING
 from torchmbd.multibody.system import System
-from torchmbd.multibody.system.equilibrium import SPIN
-from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.steady_rotation import TURNING
 
 TIE = 1e-2  # of MAC, that decides between shapes alike: a pole and its conjugate at rest
 LOST = 0.4  # MAC; at equal frequencies the shapes of a round shaft at rest and in rotation have 0.5

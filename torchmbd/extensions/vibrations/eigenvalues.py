@@ -24,10 +24,10 @@ from torchmbd.extensions.vibrations.inner_products import Vectors, inner_product
 from torchmbd.extensions.vibrations.spectrum import Spectrum
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
+from torchmbd.multibody.equilibrium.equilibrium import SPIN
+from torchmbd.multibody.equilibrium.linearized import Linearization
+from torchmbd.multibody.equilibrium.steady_rotation import Observer, ObserverAtRest, SteadyRotation
 from torchmbd.multibody.system import Dynamics
-from torchmbd.multibody.system.equilibrium import SPIN
-from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest, SteadyRotation
 
 NATURAL, POLES = "natural", "poles"
 #: Chooses numbers by the spectra and the states of all lanes, such as those of vibrations that are followed by their shapes.

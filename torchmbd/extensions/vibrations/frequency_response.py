@@ -29,10 +29,10 @@ from torchmbd.extensions.vibrations.spectrum import Spectrum
 from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.pullback import leaf
+from torchmbd.multibody.equilibrium.linearized import Linearization
+from torchmbd.multibody.equilibrium.steady_rotation import SteadyRotation
+from torchmbd.multibody.saddle.rank import RELATIVE
 from torchmbd.multibody.system import Dynamics
-from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
 QUANTITIES = ("displacement", "velocity", "acceleration")  # an output and its rates, in the order of `Responses.order`
 

@@ -16,11 +16,11 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.pair import Pair
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.steady_rotation import Observer
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.equilibrium.linearized import Linearization
+from torchmbd.multibody.equilibrium.steady_rotation import Observer
+from torchmbd.multibody.saddle.rank import RELATIVE
 
 
 class Vectors(NamedTuple):

@@ -29,7 +29,7 @@ from torchmbd.extensions.vibrations.port_functions import PortFunctions, Ports
 from torchmbd.extensions.vibrations.spectrum import Spectrum
 from torchmbd.extensions.vibrations.steady_states import SteadyStates
 from torchmbd.math.gradients import all_true, is_differentiated
-from torchmbd.multibody.system.linearized import Linearization
+from torchmbd.multibody.equilibrium.linearized import Linearization
 
 STEP = 0.25  # between samples, of the distance to the nearest pole: between two of them a pole's part of G changes by a quarter
 UNDAMPED = 1e-9  # distance of a pole to the imaginary axis, of its size, at which the response is infinite

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from torchmbd.errors import DesignFailure
 from torchmbd.extensions.vibrations.spectrum import Spectrum
-from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.equilibrium.linearized import Linearization
 
 SURE = 0.55  # MAC: above 0.5 no other of orthogonal shapes is as like; the rest is a margin
 

@@ -27,12 +27,13 @@ from torchmbd.extensions.vibrations.port_functions import PortFunctions, Ports
 from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
 from torchmbd.math.checked_numbers import is_whole, list_of, reals
 from torchmbd.math.pair import Pair
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equilibrium.equilibrium import SPIN
+from torchmbd.multibody.equilibrium.linearized import Linearization, factored_inertia
+from torchmbd.multibody.equilibrium.steady_rotation import Observer, ObserverAtRest
 from torchmbd.multibody.forces.controller import Controller
 from torchmbd.multibody.forces.signals import Actuator, Signal, Time
-from torchmbd.multibody.system import System, equations
-from torchmbd.multibody.system.equilibrium import SPIN
-from torchmbd.multibody.system.linearized import Linearization, factored_inertia
-from torchmbd.multibody.system.steady_rotation import Observer, ObserverAtRest
+from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import has_failed
 from torchmbd.results.trajectory import Trajectory
 

@@ -29,10 +29,10 @@ from torch import Tensor
 from torchmbd.errors import InputError, one_of
 from torchmbd.math.checked_numbers import list_of, scalar
 from torchmbd.math.pair import Pair, cat, cross, value
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.linearized import factored_inertia, null_space, unpadded_rates
-from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.equilibrium.linearized import factored_inertia, null_space, unpadded_rates
+from torchmbd.multibody.saddle.rank import RELATIVE
 from torchmbd.results.trajectory import Trajectory
 
 # Share of the largest part of a freedom that a row has at least, [rad] to [m] or to [-]: smaller ones are poor coordinates.
@@ -46,7 +46,7 @@ _SAME_TIME = 1e-6  # share of the largest time: rounding of a number in single p
 class MovingState:
     """One design at coordinates q [n_q, 1, 1], rates v and accelerations a [n_v, 1, 1] of a motion.
 
-    It is an observer, as of multibody/system/steady_rotation.py.
+    It is an observer, as of multibody/equilibrium/steady_rotation.py.
     """
 
     v: Tensor

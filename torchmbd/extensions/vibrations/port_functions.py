@@ -20,9 +20,9 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.math.pair import Pair
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.steady_rotation import GroundObserver, Observer, SteadyRotation
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.equilibrium.steady_rotation import GroundObserver, Observer, SteadyRotation
 
 _SAME = 1e-6  # of the largest entry: a change by a turn that counts as none
 

@@ -22,8 +22,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.fem.reduction.basis import CLUSTER
-from torchmbd.multibody.system.linearized import Linearization, Vibrations, rounding_of_squares, whirl
-from torchmbd.multibody.system.rank import RELATIVE
+from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations, rounding_of_squares, whirl
+from torchmbd.multibody.saddle.rank import RELATIVE
 
 _GUARD = 4  # vibrations beyond those asked for, so that those that coincide are complete
 _FEW = 6  # the reciprocal of the largest share of all vibrations that `_lowest_whirl` is for

@@ -25,10 +25,10 @@ from torchmbd.math.checked_numbers import differentiable_reals, reals
 from torchmbd.math.gradients import all_true
 from torchmbd.math.module_call import exclusive
 from torchmbd.multibody.bodies.frame import axis_index
+from torchmbd.multibody.equilibrium.equilibrium import SPIN
+from torchmbd.multibody.equilibrium.linearized import Linearization
+from torchmbd.multibody.equilibrium.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.system import Dynamics, System
-from torchmbd.multibody.system.equilibrium import SPIN
-from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.steady_rotation import TURNING, SteadyRotation
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from torch import Tensor
 
 from torchmbd.extensions.vibrations.spectrum import Spectrum
 from torchmbd.math.rotation import rotation_matrix
-from torchmbd.multibody.system import System, equations
-from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.equilibrium.linearized import Linearization
+from torchmbd.multibody.system import System
 
 _ORDERS = (-3, -2, -1, 0, 1, 2, 3)  # of rings of nodes; points on the axis have the middle three
 _ON_AXIS = 1e-2  # distance from the axis, of the length of the machine, at which a node is on it

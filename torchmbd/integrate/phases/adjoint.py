@@ -42,8 +42,8 @@ from torchmbd.integrate.phases.switch import data_with_marks
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.variable_step import shortly_after, step_to
+from torchmbd.multibody.equations.equations import ATTACHED
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.equations import ATTACHED
 from torchmbd.results.history import History
 from torchmbd.results.state import State
 

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchmbd.integrate.lanes import join_lanes, join_states, lanes_of
 from torchmbd.integrate.phases.events import Event, Views
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.state import State
 

@@ -27,11 +27,11 @@ from torchmbd.errors import InputError, checked_signature
 from torchmbd.integrate.lanes import expanded, join_lanes, lanes_of, pick_lanes
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.times_as_lanes import at_time, over_times
+from torchmbd.multibody.equations.topology import Prescribed
+from torchmbd.multibody.saddle.expansion import select_rows
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.expansion import select_rows
-from torchmbd.multibody.system.times_as_lanes import at_time, over_times
-from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, GivenShapes, SomeLanes, shape_tangents
 from torchmbd.results.motion_data import OK

@@ -41,8 +41,8 @@ from torchmbd.integrate.phases.short_events import ShortEvents, ShortEventSearch
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.variable_step import MovingSteps, shortly_after
 from torchmbd.math.pair import Pair, value
-from torchmbd.multibody.system.condensation import Condensation
-from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.multibody.saddle.condensation import Condensation
+from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.results.history import SEGMENT, History
 from torchmbd.results.state import State
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchmbd.integrate.lanes import pick_lanes, pick_states
 from torchmbd.math.pair import linear, value
-from torchmbd.multibody.system.condensation import Condensation
+from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.state import State
 

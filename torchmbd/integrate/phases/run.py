@@ -29,11 +29,12 @@ from torchmbd.integrate.phases.switch import (
 from torchmbd.integrate.segment import DURATION, Segment
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import Pair, linear, value
-from torchmbd.multibody.system import equations, reactions
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.times_as_lanes import at_own_times, at_time
+from torchmbd.multibody.saddle import reactions
+from torchmbd.multibody.saddle.least_norm import LeastNorm
+from torchmbd.multibody.start.start import EquilibriumConditions
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.least_norm import LeastNorm
-from torchmbd.multibody.system.start import EquilibriumConditions
-from torchmbd.multibody.system.times_as_lanes import at_own_times, at_time
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.state import State

@@ -24,7 +24,7 @@ from torchmbd.integrate.phases.event_rounding import EventRounding
 from torchmbd.integrate.phases.events import DIRECTIONS, ROUNDING, Event, Views
 from torchmbd.integrate.phases.phase_record import PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.equations import equations
 from torchmbd.results.state import State
 
 _AT_ONCE = 64  # steps that are looked at together, at least

@@ -24,12 +24,12 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.phases.events import Event, SubstituteSignals, Views, gap_gradient
 from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.times_as_lanes import at_time
+from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.joints.lock import Lock
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.condensation import Condensation
+from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
-from torchmbd.multibody.system.times_as_lanes import at_time
-from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
 from torchmbd.results.trajectory import Trajectory
 

@@ -22,7 +22,7 @@ The contract of a kind:
 
 The argument `drive` of phi and forces has these at the time of evaluation; None without a law. `numbers` holds the constants
 of all primitives of the kind. A kind with angles gets their turns behind these: angles of rigid bodies that count full turns
-(multibody/system/turns.py), near which those of its equation are.
+(multibody/equations/turns.py), near which those of its equation are.
 
 No other code is needed for a constraint, not even for compiled steps, which are traced from phi and forces: Phi_q and the
 generalized constraint forces are `forces` transformed to the bodies, gamma is the acceleration part of the jet, the design

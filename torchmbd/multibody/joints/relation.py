@@ -6,7 +6,7 @@
     c    factors, d their sum: numbers, or design variables
 
 Angles count full turns: x is the angle within half a turn of that of the rigid bodies, which is a coordinate of the motion
-(multibody/system/turns.py). An angle x_i of lam has the torque lam c_i about its axis, a travel the force lam c_i along it.
+(multibody/equations/turns.py). An angle x_i of lam has the torque lam c_i about its axis, a travel the force lam c_i along it.
 Checked in tests/contracts/test_primitives.py, tests/multibody/joints/test_joint_coupling.py.
 """
 

@@ -17,10 +17,10 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.math.pair import value
+from torchmbd.multibody.equilibrium.equilibrium import vibrations
 from torchmbd.multibody.joints.joint import AttachmentTable
-from torchmbd.multibody.system.closing import Closing
-from torchmbd.multibody.system.equilibrium import vibrations
-from torchmbd.multibody.system.rank import Rank, jacobians, rank_of, rank_of_columns
+from torchmbd.multibody.saddle.rank import Rank, jacobians, rank_of, rank_of_columns
+from torchmbd.multibody.start.closing import Closing
 
 _SHOWN = 6  # frequencies in the table
 

@@ -32,11 +32,14 @@ from torchmbd.errors import InputError, warn
 from torchmbd.math.gradients import is_differentiated, untransformed, wraps
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, cat, linear, value, variation
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.condensation import Condensation
-from torchmbd.multibody.system.equations import Data
-from torchmbd.multibody.system.least_norm import LeastNorm
-from torchmbd.multibody.system.rank import (
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.equations import Data
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.saddle.condensation import Condensation
+from torchmbd.multibody.saddle.factors import Diagonal, regularized
+from torchmbd.multibody.saddle.least_norm import LeastNorm
+from torchmbd.multibody.saddle.matrix import Saddle
+from torchmbd.multibody.saddle.rank import (
     Rank,
     confirm_left_out,
     first_finite_lane,
@@ -44,9 +47,6 @@ from torchmbd.multibody.system.rank import (
     jacobians,
     rank_of,
 )
-from torchmbd.multibody.system.saddle import Saddle
-from torchmbd.multibody.system.saddle_factors import Diagonal, regularized
-from torchmbd.multibody.system.topology import Topology
 
 LEFT_OUT = 1e30  # on the diagonal of a row without other entries: its multiplier is zero
 REGULARIZATION = (

@@ -25,23 +25,29 @@ from torchmbd.math.variable import law_key
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.flexible_beam import BeamNode, FlexibleBeam
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, has_modal_start, register, vector_or_parameter
+from torchmbd.multibody.equations import arrangement
+from torchmbd.multibody.equations.beams import beam_data
+from torchmbd.multibody.equations.equations import INERTIA
+from torchmbd.multibody.equations.modal_data import (
+    frame_nodes,
+    modal_data,
+    second_order_data,
+    stack_bodies,
+    vector_modes,
+)
+from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.forces.beam_chain import BeamChain
 from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.joints.joint import AttachmentTable, Joint
-from torchmbd.multibody.system import arrangement
-from torchmbd.multibody.system.beams import beam_data
+from torchmbd.multibody.saddle.matrix import Saddle
+from torchmbd.multibody.start.initial import start_of_bodies
+from torchmbd.multibody.start.modal_start import in_moving_basis
+from torchmbd.multibody.start.start import POSE, Start
 from torchmbd.multibody.system.description import Description, check_connected, describe
 from torchmbd.multibody.system.design_variables import refuse_lost_constants, refuse_lost_laws, tangents_of
 from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.equations import INERTIA
-from torchmbd.multibody.system.initial import start_of_bodies
-from torchmbd.multibody.system.modal_data import frame_nodes, modal_data, second_order_data, stack_bodies, vector_modes
-from torchmbd.multibody.system.modal_start import in_moving_basis
-from torchmbd.multibody.system.saddle import Saddle
-from torchmbd.multibody.system.start import POSE, Start
 from torchmbd.multibody.system.state_equation import StateEquation, unchanged, with_copies
-from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.truncation import StaticTruncation, static_truncation
 
 _START_VARIABLES = ("position", *VELOCITIES, *MODAL)  # numbers of the initial state that can be design variables

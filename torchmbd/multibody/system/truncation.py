@@ -29,9 +29,9 @@ from torchmbd.errors import MbdError, warn
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations
 from torchmbd.multibody.joints.joint import Attached
-from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.linearized import Linearization, Vibrations
 
 _NEAR = 2.0  # times the first elastic frequency: the highest frequency of a vibration that is compared
 LARGEST = 300  # most rates of a system whose vibrations are compared, as the methods are dense

@@ -25,7 +25,7 @@ from torchmbd.extensions.native.codegen.segment_sum import SymbolicSegmentSum
 from torchmbd.extensions.native.codegen.size import Size, Untraceable, constant_index, loop_index
 from torchmbd.math import rotation
 from torchmbd.math.pair import cat, contract, cross, matmul, matvec
-from torchmbd.multibody.system.index_maps import SegmentSum
+from torchmbd.multibody.equations.index_maps import SegmentSum
 
 N, M, K = Size("N"), Size("M"), Size("K")
 SIZES = {"N": 4, "M": 3, "K": 6}

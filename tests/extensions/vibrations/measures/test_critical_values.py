@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from tests.multibody.system.test_ground_observer import rotor
+from tests.multibody.equilibrium.test_ground_observer import rotor
 
 V, GROUND = mbd.variable, mbd.Ground()
 DISK = {"axis": "x", "observer": "ground"}

@@ -11,8 +11,8 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.multibody.system.test_rotors import rotor
-from torchmbd.multibody.system import equations
+from tests.multibody.equilibrium.test_rotors import rotor
+from torchmbd.multibody.equations import equations
 
 GROUND = mbd.Ground()
 

@@ -1,4 +1,4 @@
-"""Sums of segments as `SegmentSum` (multibody/system/index_maps.py), with a table that is known at run time."""
+"""Sums of segments as `SegmentSum` (multibody/equations/index_maps.py), with a table that is known at run time."""
 
 from __future__ import annotations
 

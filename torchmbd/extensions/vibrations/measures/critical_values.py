@@ -29,8 +29,8 @@ from torchmbd.math.checked_numbers import is_whole, positive, scalar
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.bodies.flexible import FlexibleBody
+from torchmbd.multibody.equilibrium.steady_rotation import GROUND, TURNING
 from torchmbd.multibody.system import System
-from torchmbd.multibody.system.steady_rotation import GROUND, TURNING
 
 _STEPS = 60  # of Newton's method; bisection alone takes 50 to double precision
 _ACCURACY = 1e-12  # of the root, relative

@@ -30,7 +30,7 @@ from torchmbd.extensions.vibrations.spectrum import SWINGS
 from torchmbd.extensions.vibrations.steady_states import Shaft, SteadyStates, steady_states
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole, nonnegative, positive, scalar
-from torchmbd.multibody.system.steady_rotation import TURNING
+from torchmbd.multibody.equilibrium.steady_rotation import TURNING
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,11 +21,12 @@ from torchmbd.errors import InputError, checked_signature
 from torchmbd.extensions.vibrations.spectrum import SWINGS, Spectrum
 from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.math.checked_numbers import is_whole, positive
-from torchmbd.multibody.system import Dynamics, equations
-from torchmbd.multibody.system.equilibrium import SPIN
-from torchmbd.multibody.system.linearized import Linearization
-from torchmbd.multibody.system.rank import RELATIVE
-from torchmbd.multibody.system.steady_rotation import ObserverAtRest
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equilibrium.equilibrium import SPIN
+from torchmbd.multibody.equilibrium.linearized import Linearization
+from torchmbd.multibody.equilibrium.steady_rotation import ObserverAtRest
+from torchmbd.multibody.saddle.rank import RELATIVE
+from torchmbd.multibody.system import Dynamics
 from torchmbd.results.mode_shapes import SomeLanes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory

@@ -1,0 +1,1 @@
+"""Static equilibrium and steady rotation of a system, and small vibrations about them."""

@@ -1,0 +1,351 @@
+"""Static equilibrium of an assembled mechanism, as a function of the design.
+
+    f(q, b) + Phi_q' lam = 0,  Phi(q, t, b) = 0
+
+    dq = -Phi_q^+ Phi + N z,   |N' K N| z = -N' (f + K dq_0)          |A|: symmetric part, eigenvalues taken positive
+
+With positive eigenvalues every step decreases the energy, so a conservative mechanism ends at a stable equilibrium and not at
+the nearest extremum; only a start exactly at an unstable equilibrium stays there, and is reported. Steps are limited in size.
+With beams the loads grow in steps (load_steps.py) where the start is stable under small loads. `unstable=True` leaves the signs
+of the eigenvalues, for states that are stable by other forces than those of the stiffness: a shaft above its critical speed.
+
+Derivatives by the design are those of one more step with the exact matrix, the implicit function theorem:
+
+    dq/db = -(J^+ Phi_b + N (N' K N)^-1 N' (f_b + Phi_q,b' lam - K J^+ Phi_b))
+
+Drives are fixed at their value at time t; their rates do not matter. In a steady rotation of the whole system
+(steady_rotation.py) inertia forces are loads, drives run, and the state must be the same at every turn (steady_state.py).
+Checked in tests/multibody/equilibrium/test_equilibrium.py, tests/sensitivity/test_rest.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.jet import Jet
+from torchmbd.math.pair import apply, cat, dot, linear, value
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equilibrium.linearized import NEGATIVE_MASS, Linearization, Vibrations
+from torchmbd.multibody.equilibrium.load_steps import LoadSteps
+from torchmbd.multibody.equilibrium.steady_rotation import SteadyRotation
+from torchmbd.multibody.equilibrium.steady_state import unsteady
+from torchmbd.multibody.joints.primitive import Angle
+
+_STEPS, _LARGEST = 200, 0.3  # Newton steps; largest increment of a coordinate [m], [rad]
+_SWEEP_STEPS = 8  # of all speeds together; those that need more are searched one after the other
+_NEAR = 0.1  # of the distance between the equilibria of neighboring speeds, that a first step between them may miss
+_FORCE = 1e-10  # largest unbalanced force, as a share of the largest force of all steps
+_CLOSED = 1e-11  # violation of a joint
+_ROUNDING = 1e-14  # of the terms that cancel in forces
+SPIN = "spin"  # name of the angular velocity [3, 1, lanes] of a steady rotation among the data
+_SAME = 1e-6  # of the largest force: a change of forces in a steady rotation that counts as none
+_MIRRORED = (
+    "no static equilibrium: a drive ends half a turn away from its angle; allowed: initial positions, or a time before, "
+    "less than a quarter of a turn from it"
+)
+_SMALLER = "allowed: smaller loads, a start near another, unstable=True for one that its stiffness does not hold"
+_NO_STIFFNESS = 1e-13  # of the largest eigenvalue of N' K N: rounding
+_SOFT = 1e-9  # of the same: a freedom that forces of rounding would move far, as the spin of an arm between ball joints
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Equilibrium of one design.
+
+    q [n_q], lam [rows]         coordinates, and multipliers of least norm
+    inverse [n_v, n_v + rows]   derivative of the increment of q by the residual (f, Phi), times -1
+    failure                     why there is no equilibrium, else ""; q is then the start of the search
+    instability                 why no motion should start here: an unstable freedom or one without stiffness, else ""
+    """
+
+    q: Tensor
+    lam: Tensor
+    inverse: Tensor
+    failure: str
+    instability: str
+
+
+def find_equilibria(
+    dynamics: Any,
+    q: Any,
+    t: Tensor,
+    follow: bool = False,
+    rotation: SteadyRotation | None = None,
+    unstable: bool = False,
+    sweep: int = 0,
+) -> list[Balance]:
+    """Equilibria of all lanes of an uncondensed system at time t, near q [n_q, 1, lanes].
+
+    follow     search each lane near the equilibrium of the lane before
+    unstable   find the nearest equilibrium, whether it is stable or not
+    sweep      number of neighboring lanes that are one design at rising speeds: the first is searched downhill in energy, each
+               other near the one before, stable or not; whether the rotation is steady is looked at for the fastest. A shaft
+               that turns above its critical speed is held by Coriolis's forces: where the search downhill fails, the nearest
+               state is taken. 0: lanes are designs by themselves
+    """
+    start, balances = value(q).detach(), []
+    with torch.no_grad():
+        values = dynamics.values()
+        while len(balances) < dynamics.lanes:
+            lane = len(balances)
+            place = lane % sweep if sweep else 0
+            near = balances[-1].q if (follow and balances) or place else start[:, 0, min(lane, start.shape[-1] - 1)]
+            of_lane = values.select_lanes([lane])
+            turning = _at_spin(rotation, of_lane.data)
+            arguments = of_lane, near, t, turning
+            fastest = place == max(sweep - 1, 0)
+            balance = _find_equilibrium(*arguments, unstable or place > 0, fastest)
+            if balance.failure and (sweep > 1 or (sweep and turning is not None and bool(turning.spin.any()))):
+                other = _find_equilibrium(*arguments, not place, fastest)
+                balance = balance if other.failure and place else other
+            balances.append(balance)
+            if not place and sweep > 1 and not balance.failure:
+                others = values.select_lanes(list(range(lane + 1, lane + sweep)))
+                balances += _sweep(others, balance.q, t, _at_spin(rotation, others.data))
+    return balances
+
+
+def _sweep(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | None) -> list[Balance]:
+    """Equilibria of lanes at rising speeds, by Newton's method of all at once from start [n_q], that of the speed before.
+
+    They end before the first that is not surely the one to which a search from its neighbor leads: a step from there must
+    come near.
+    """
+    T, lanes, observer = dynamics.topology, range(dynamics.lanes), rotation and rotation.turning
+    of_lanes = [dynamics.select_lanes([lane]) for lane in lanes]
+    q, largest, balances = start[:, None, None].expand(-1, 1, len(lanes)), [0.0] * len(lanes), {}
+    for _ in range(_SWEEP_STEPS):
+        states = Linearization.each(dynamics, q, t, observer=observer)
+        moves = torch.zeros(T.n_v, 1, len(lanes), dtype=q.dtype)
+        for lane in [lane for lane in lanes if lane not in balances]:
+            rest, of_lane = states[lane], of_lanes[lane]
+            largest[lane] = max(largest[lane], float(rest.forces.abs().max()))
+            turning = _at_spin(rotation, of_lane.data)
+            balance, small = _balance(of_lane, rest, q[:, 0, lane], t, turning, largest[lane], lane == lanes[-1])
+            if balance is not None:
+                balances[lane] = balance
+            elif bool(torch.isfinite(rest.forces).all()):
+                moves[:, 0, lane] = _step(rest, True, small)
+        if len(balances) == len(lanes):
+            break
+        q = equations.advance(T, q, moves)
+    before = torch.cat([start[:, None, None], q[..., :-1]], -1)
+    steps = [_step(rest, True, 0.0) for rest in Linearization.each(dynamics, before, t, observer=observer)]
+    after = equations.advance(T, before, torch.stack(steps, -1)[:, None])
+    near = (after - q).abs().amax((0, 1)) <= _NEAR * (q - before).abs().amax((0, 1)) + _CLOSED
+    sure = [lane in balances and not balances[lane].failure and bool(near[lane]) for lane in lanes]
+    return [balances[lane] for lane in range([*sure, False].index(False))]
+
+
+def _at_spin(rotation: SteadyRotation | None, data: equations.Data) -> SteadyRotation | None:
+    """The rotation at the spin that is among the data."""
+    return rotation and rotation.of_spin(data[SPIN])
+
+
+def equilibrium_coordinates(
+    dynamics: Any, balances: list[Balance], t: Tensor, rotation: SteadyRotation | None = None
+) -> Any:
+    """Coordinates of equilibrium [n_q, 1, lanes], with derivatives by the data: a last Newton step that carries them."""
+    T, data = dynamics.topology, dynamics.data
+    q, lam = (torch.stack([getattr(balance, name) for balance in balances], -1)[:, None] for name in ("q", "lam"))
+    inverse = torch.stack([balance.inverse for balance in balances])
+    at = equations.placement(T, data, q, T.prescribed(t, data))
+    still = q.new_zeros(T.n_v, 1, q.shape[-1])
+    rates = (still, still) if rotation is None else rotation.of_spin(data[SPIN]).rates(T, q)
+    residual = equations.dynamic_residual(T, data, at, *rates, lam)
+    if T.rows:
+        residual = cat([residual, equations.constraints(T, at)])
+    return equations.advance(T, q, linear(lambda x: -apply(inverse, x), residual))
+
+
+def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None = None) -> Any:
+    """Multipliers [rows, ...] of an equilibrium q [n_q, ...] at time t, drives fixed; derivatives as q and the data have."""
+    T = dynamics.topology
+    still = value(q).new_zeros(T.n_v, 1, value(q).shape[-1])
+
+    def residual(data: equations.Data, at: equations.Placement, q: Any, x: Tensor) -> Any:
+        drives, v = T.law_jets(t, data), still
+        if rotation is None:
+            drives = [drive and tuple(_held(jet) for jet in drive) for drive in drives]
+        else:
+            v, _ = rotation.of_spin(data[SPIN]).rates(T, q)
+        return equations.stabilized_residual(T, data, at, v, x[: T.n_v], x[T.n_v :], drives, 0.0)
+
+    return dynamics.zero_left_out(dynamics.solve_linear(residual, t, q)[T.n_v :])
+
+
+def _held(jet: Jet) -> Jet:
+    """A law whose value stays constant from now on."""
+    return Jet(jet.value, 0.0 * jet.velocity, 0.0 * jet.acceleration)
+
+
+def vibrations(dynamics: Any) -> Vibrations:
+    """Vibrations of one design about its initial position, which is taken for an equilibrium."""
+    with torch.no_grad():
+        q, _ = dynamics.values().initial.solve(dynamics.values())
+        return Vibrations.of(Linearization.of(dynamics.values(), q[:, 0, 0], q.new_zeros(())))
+
+
+def _find_equilibrium(
+    dynamics: Any,
+    start: Tensor,
+    t: Tensor,
+    rotation: SteadyRotation | None = None,
+    unstable: bool = False,
+    all_around: bool = True,
+) -> Balance:
+    """The equilibrium of dynamics of one lane near start [n_q]; all_around: look whether a rotation is steady."""
+    T, q = dynamics.topology, start
+    turning = rotation and rotation.turning
+    steps = LoadSteps(dynamics, start, t, turning) if T.beams is not None and not unstable else None
+    if steps is not None and steps.stable:
+        path = steps.run()
+        if path.failure:
+            return _failed(T, start, f"no static equilibrium: {path.failure}; {_SMALLER}")
+        q = path.q
+    rest, largest = Linearization.of(dynamics, q, t, observer=turning), 0.0
+    for _ in range(_STEPS):
+        largest = max(largest, float(rest.forces.abs().max()))
+        balance, small = _balance(dynamics, rest, q, t, rotation, largest, all_around)
+        if balance is not None:
+            return balance if not balance.failure else _failed(T, start, balance.failure)
+        if not bool(torch.isfinite(rest.forces).all()):
+            break
+        q = equations.advance(T, q[:, None, None], _step(rest, unstable, small)[:, None, None])[:, 0, 0]
+        rest = Linearization.of(dynamics, q, t, observer=turning)
+    forces = rest.unbalanced.abs().nan_to_num(torch.inf)
+    worst = T.rate_name(int(rest.active[int(forces.argmax())]), "force", "torque")
+    failure = (
+        f"no static equilibrium in {_STEPS} steps: {float(forces.max()):.3g} N or N m remain on {worst}; "
+        "allowed: a mechanism whose forces can balance, and initial positions near that"
+    )
+    return _failed(T, start, failure)
+
+
+def _balance(
+    dynamics: Any,
+    rest: Linearization,
+    q: Tensor,
+    t: Tensor,
+    rotation: SteadyRotation | None,
+    largest: float,
+    all_around: bool,
+) -> tuple[Balance | None, float]:
+    """The equilibrium at q, or None where forces do not balance, and the size of forces that count as none.
+
+    largest   of the forces of all steps; all_around: as of `_find_equilibrium`
+    """
+    T, canceling = dynamics.topology, _canceling(dynamics, rest, q, t)
+    small = _FORCE * largest + _ROUNDING * canceling
+    closed = not rest.phi.numel() or float(rest.phi.abs().max()) < _CLOSED
+    along_freedoms = rest.N.T @ rest.unbalanced
+    if not closed or (along_freedoms.numel() and not float(along_freedoms.abs().max()) <= small):
+        return None, small
+    if _mirrored(T, dynamics.values().data, q, t):
+        return _failed(T, q, _MIRRORED), small
+    if rotation is not None:
+        same = _SAME * largest + _ROUNDING * canceling
+        if all_around and (why := unsteady(dynamics, rest, q, t, rotation, same)):
+            return _failed(T, q, why), small
+        if rest.negative_mass:  # centrifugal forces are wrong then; without rotation masses do not matter
+            return _failed(T, q, f"no steady rotation: {NEGATIVE_MASS}; {_SMALLER}"), small
+    return Balance(q, rest.lam, _inverse(rest), "", _instability(T, rest)), small
+
+
+def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
+    """Whether an axis is half a turn away from its prescribed angle, where the constraint is satisfied too."""
+    at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
+    for kind, vectors, drive in zip(T.primitives, at.arguments, at.drives, strict=True):
+        if isinstance(kind, Angle) and drive is not None:
+            x, y, b = vectors
+            c, s = drive
+            if bool((dot(x, b) * c + dot(y, b) * s < 0.0).any()):
+                return True
+    return False
+
+
+def _failed(T: Any, start: Tensor, failure: str) -> Balance:
+    return Balance(start, start.new_zeros(T.rows), start.new_zeros(T.n_v, T.n_v + T.rows), failure, "")
+
+
+def _canceling(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor) -> float:
+    """Size of the terms that cancel in forces: stiffness times coordinates, forces of joints, springs against each other."""
+    T, data = dynamics.topology, dynamics.values().data
+    n = 3 * T.bodies
+    w = equations.split_q(T, q[:, None, None])[2].flatten()
+    size = torch.cat([q[:n], torch.ones_like(q[:n]), w]).abs()
+    terms = [rest.K.abs() @ size, rest.Phi_q.abs().T @ rest.lam.abs()]
+    if T.actions:
+        at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
+        states = equations.action_states(T, data, at, q.new_zeros(T.n_v, 1, 1))
+        terms += [f.abs().flatten() for f in equations.strengths(T, data, states, t)]
+    return max(float(x.max()) for x in terms if x.numel())
+
+
+def _step(rest: Linearization, unstable: bool, small: float) -> Tensor:
+    """Increment [n_v] of Newton's method: towards smaller energy, or, if `unstable`, to the nearest equilibrium of any kind.
+
+    small   size of forces that balance: they move no freedom that has hardly any stiffness
+    """
+    active, J = rest.active, rest.Phi_q[:, rest.active]
+    close = -torch.linalg.pinv(J, rtol=1e-9) @ rest.phi
+    forces = rest.N.T @ (rest.unbalanced + rest.K[active][:, active] @ close)
+    if unstable:
+        slide = -_flexibility(rest.reduced(rest.K)) @ forces
+    else:
+        values, vectors = _stiffness(rest)
+        largest = float(values.abs().max()) if len(values) else 0.0
+        along = vectors.T @ forces
+        at_rest = (values.abs() < _SOFT * largest) & (along.abs() * len(along) ** 0.5 <= small)
+        along = torch.where(at_rest, 0.0, along)
+        slide = -vectors @ (along / values.abs().clamp_min(_NO_STIFFNESS * largest or 1.0))
+    total = close + rest.N @ slide
+    step = torch.zeros_like(rest.forces)
+    step[active] = total * min(1.0, _LARGEST / max(float(total.abs().max()), 1e-300))
+    return step
+
+
+def _stiffness(rest: Linearization) -> tuple[Tensor, Tensor]:
+    """Eigenvalues and vectors of the symmetric part of N' K N."""
+    K = rest.reduced(rest.K)
+    values, vectors = torch.linalg.eigh(0.5 * (K + K.T))
+    return values, vectors
+
+
+def _inverse(rest: Linearization) -> Tensor:
+    """`Balance.inverse`; freedoms without stiffness do not move."""
+    active, n = rest.active, len(rest.forces)
+    close = torch.linalg.pinv(rest.Phi_q[:, active], rtol=1e-9)
+    slide = rest.N @ _flexibility(rest.reduced(rest.K)) @ rest.N.T
+    inverse = rest.forces.new_zeros(n, n + len(rest.phi))
+    inverse[active[:, None], active] = slide
+    inverse[active, n:] = close - slide @ rest.K[active][:, active] @ close
+    return inverse
+
+
+def _flexibility(K: Tensor) -> Tensor:
+    """Inverse of a stiffness; freedoms without stiffness do not move."""
+    inverse, singular = torch.linalg.inv_ex(K)
+    is_regular = not int(singular) and float(K.norm() * inverse.norm()) < 1.0 / _NO_STIFFNESS
+    return inverse if is_regular else torch.linalg.pinv(K, rtol=_NO_STIFFNESS)
+
+
+def _instability(T: Any, rest: Linearization) -> str:
+    """`Balance.instability`."""
+    values, vectors = _stiffness(rest)
+    if not len(values) or float(values[0]) > _NO_STIFFNESS * float(values.abs().max()):
+        return ""
+    row = int(rest.active[int((rest.N @ vectors[:, 0]).abs().argmax())])
+    if float(values[0]) < -_NO_STIFFNESS * float(values.abs().max()):
+        return (
+            f"the static equilibrium is unstable: {T.rate_name(row)} falls away from it; "
+            "allowed: initial positions near a stable one, or start='assembled'"
+        )
+    return (
+        f"the mechanism is free to move without a force: {T.rate_name(row)} has no static equilibrium of its own; "
+        "allowed: a drive, a lock, a spring or a joint that holds it, or start='assembled'"
+    )

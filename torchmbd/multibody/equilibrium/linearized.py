@@ -1,0 +1,372 @@
+"""Small vibrations about a position of rest: the equations of motion linearized in the null space of the constraints.
+
+    M x'' + C x' + K x + Phi_q' dlam = 0,  Phi_q x = 0          x: increment of the coordinates, body axes for rotations
+    N' M N y'' + N' C N y' + N' K N y = 0                       N: null space of Phi_q
+
+M is a block of the saddle-point matrix; K and C are tangents of the residual of the equations of motion at rest with fixed
+multipliers, so they include weight, pretension and all other forces. lam: least squares of the forces at rest.
+Who measures x is an observer (steady_rotation.py). To one who turns with a steady rotation K has centrifugal forces, C those of
+Coriolis.
+Checked in tests/multibody/equilibrium/test_equilibrium.py: pendulums in closed form, a swinging beam.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import DesignFailure
+from torchmbd.fem.reduction.padding import is_padding
+from torchmbd.math.pair import Pair, cat, matvec_t, value
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.topology import Prescribed, Topology
+from torchmbd.multibody.equilibrium.steady_rotation import Observer, ObserverAtRest, SteadyRotation
+from torchmbd.multibody.saddle.rank import RELATIVE
+
+# A freedom has no stiffness below these shares: of the terms that cancel in it; for each freedom, of the largest eigenvalue.
+_CANCELS, _EIGEN = 1e-10, 1e-15
+_ZERO_MASS = 1e-9  # share of the largest eigenvalue of the inertia
+NEGATIVE_MASS = "bodies bend until their modes have a negative mass"
+GROWS = 1e-6  # ratio of real part and size of a pole above which vibrations grow
+_AT_REST = 1e-7  # share of the largest frequency below which one is zero
+_UNBALANCED, _ROUNDING = 100.0, 1e-11  # unsymmetry of the stiffness that unbalanced forces and rounding may cause
+
+
+@dataclass(frozen=True)
+class Linearization:
+    """One design at rest at q [n_q]: residual forces, constraints, and their derivatives by an increment of q.
+
+    forces [n_v], phi [rows]   residual without constraint forces; violations of constraints
+    K, C, M [n_v, n_v]         stiffness and damping, both with the forces of the multipliers, and mass; C and M on demand
+    Phi_q [rows, n_v], lam [rows]
+    active                     rows of v but those that pad the modes of bodies and designs with fewer modes than others
+    N [active, freedoms]       null space of the active columns of Phi_q
+    along                      C by "rates", M by "accelerations"
+    rotates                    whether the state rotates steadily
+    """
+
+    forces: Tensor
+    phi: Tensor
+    K: Tensor
+    Phi_q: Tensor
+    lam: Tensor
+    active: Tensor
+    N: Tensor
+    along: Callable[[str], Tensor]
+    rotates: bool = False
+
+    @cached_property
+    def C(self) -> Tensor:
+        return self.along("rates")
+
+    @cached_property
+    def M(self) -> Tensor:
+        return self.along("accelerations")
+
+    @classmethod
+    def of(
+        cls,
+        dynamics: Any,
+        q: Tensor,
+        t: Tensor,
+        offset: tuple[Tensor, Tensor] | None = None,
+        observer: Observer | None = None,
+        unstrained: Tensor | None = None,
+        excitation: Prescribed | None = None,
+    ) -> Linearization:
+        """Linearize `dynamics` of one design at q and time t; arguments as of `each`."""
+        return cls.each(dynamics, q[:, None, None], t, offset, observer, unstrained, excitation)[0]
+
+    @classmethod
+    def each(
+        cls,
+        dynamics: Any,
+        q: Tensor,
+        t: Tensor,
+        offset: tuple[Tensor, Tensor] | None = None,
+        observer: Observer | None = None,
+        unstrained: Tensor | None = None,
+        excitation: Prescribed | None = None,
+    ) -> list[Linearization]:
+        """Linearize all lanes of `dynamics` at q [n_q, 1, lanes] and time t; equations of all lanes are evaluated at once.
+
+        observer     of the increments, with the rates of the state; None: a state at rest
+        offset       forces with torques in ground axes [n_v] and violations [rows], to be subtracted from forces and phi
+        unstrained   screws [6, n, 1, 1] at which beam elements have no force in K and lam; None: those of the data
+        excitation   what drives prescribe; None: their laws at time t
+        """
+        T = dynamics.topology
+        data = {name: value(x).detach() for name, x in dynamics.data.items()}
+        prescribed = T.prescribed(t, data).values() if excitation is None else excitation
+        lanes = q.shape[-1]
+        none, still = q.new_zeros(T.rows, 1, lanes), q.new_zeros(T.n_v, 1, lanes)
+        observer = observer or ObserverAtRest()
+        coupling = T.coupling
+        unit = Pair.of(still, coupling.directions[..., None].expand(-1, -1, lanes))
+        zero = Pair.of(still, torch.zeros_like(unit.tangent))
+        near, *rates_moved = observer.perturbed(T, q, unit, zero, zero)
+        rates = tuple(value(x) for x in rates_moved)
+        at, moved = (equations.placement(T, data, x, prescribed) for x in (q, near))
+
+        def residual(at: Any, rates: Sequence[Any], lam: Tensor) -> Any:
+            v, a = rates
+            return observer.rows(T, q, equations.dynamic_residual(T, data, at, v, a, lam))
+
+        forces = residual(at, rates, none)[:, 0]
+        subtracted = None if offset is None else _in_body_axes(T, moved, offset[0])
+        forces = forces if subtracted is None else forces - subtracted.value[:, 0]
+        phi, Phi_q = q.new_zeros(0, lanes), [q.new_zeros(0, T.n_v)] * lanes
+        if T.rows:
+            violation = equations.constraints(T, moved)
+            phi, Phi_q = violation.value[:, 0], [coupling.matrix(x, True) for x in _tangents(violation)]
+            phi = phi if offset is None else phi - offset[1][:, None]
+        active = unpadded_rates(T, data, lanes)
+        balanced = forces
+        if unstrained is not None:
+            data = data | {"beam_rest": unstrained}
+            balanced = residual(at, rates, none)[:, 0]
+            balanced = balanced if subtracted is None else balanced - subtracted.value[:, 0]
+        constrained = zip(active, Phi_q, balanced.unbind(-1), strict=True)
+        lam = torch.stack([-torch.linalg.pinv(J[:, a].T, rtol=RELATIVE) @ f[a] for a, J, f in constrained], -1)
+        force = residual(moved, rates_moved, lam[:, None])
+        stiffness = _tangents(force if subtracted is None else force - subtracted)
+
+        @cache
+        def along(directions: str) -> list[Tensor]:
+            xd, xdd = (unit, zero) if directions == "rates" else (zero, unit)
+            rates = observer.perturbed(T, q, zero, xd, xdd)[1:]
+            return [coupling.matrix(x) for x in _tangents(residual(at, rates, lam[:, None]))]
+
+        def of_lane(lane: int) -> Callable[[str], Tensor]:
+            return lambda directions: along(directions)[lane]
+
+        spin = observer.spin if isinstance(observer, SteadyRotation) else still[:3]
+        rotates = spin.expand(-1, -1, lanes).any(0)[0]
+        parts = zip(forces.unbind(-1), phi.unbind(-1), stiffness, Phi_q, lam.unbind(-1), active, strict=True)
+        return [
+            cls(f, p, coupling.matrix(K), J, x, a, null_space(J[:, a]), of_lane(i), bool(rotates[i]))
+            for i, (f, p, K, J, x, a) in enumerate(parts)
+        ]
+
+    @classmethod
+    def of_matrices(cls, M: Tensor, C: Tensor, K: Tensor) -> Linearization:
+        """Of M z'' + C z' + K z = 0 [n, n] in independent coordinates; K is taken as it is, also where it is unsymmetric."""
+        n, none = len(M), M.new_zeros(0)
+        matrices, unit = {"rates": C, "accelerations": M}, torch.eye(n, dtype=M.dtype)
+        return cls(
+            M.new_zeros(n), none, K, M.new_zeros(0, n), none, torch.arange(n), unit, matrices.__getitem__, rotates=True
+        )
+
+    @property
+    def unbalanced(self) -> Tensor:
+        """Generalized forces that no constraint force balances [active]."""
+        return self.forces[self.active] + self.Phi_q[:, self.active].T @ self.lam
+
+    def reduced(self, X: Tensor) -> Tensor:
+        """N' X N of a matrix [n_v, n_v]."""
+        return self.N.T @ X[self.active][:, self.active] @ self.N
+
+    @property
+    def inertia(self) -> Tensor:
+        """N' M N, symmetric."""
+        M = self.reduced(self.M)
+        return 0.5 * (M + M.T)
+
+    @property
+    def negative_mass(self) -> bool:
+        """Whether an eigenvalue of the inertia is negative; those of parts without inertia are zero."""
+        return negative_mass(self.inertia)
+
+    def factored_inertia(self) -> Tensor:
+        """L with L L' = N' M N; DesignFailure where vibrations do not exist."""
+        return factored_inertia(self.inertia)
+
+    @property
+    def stiffness(self) -> Tensor:
+        """N' K N; symmetric but for forces without a potential, and dampers at rest, which push what turns sideways."""
+        K = self.reduced(self.K)
+        return K if self.rotates or self.nonconservative else 0.5 * (K + K.T)
+
+    @property
+    def gyroscopic(self) -> bool:
+        """Whether stiffness is symmetric and damping antisymmetric, to rounding: the system is conservative."""
+        K, C = self.reduced(self.K), self.reduced(self.C)
+        unsymmetric, dissipative = (K - K.T).abs().max(), (C + C.T).abs().max()
+        return bool(unsymmetric <= _ROUNDING * K.abs().max()) and bool(dissipative <= _ROUNDING * C.abs().max())
+
+    @property
+    def nonconservative(self) -> bool:
+        """Whether forces without a potential, such as those that turn with a body, make the stiffness unsymmetric.
+
+        Unbalanced torques make it unsymmetric too, by half their size; so much unsymmetry does not count.
+        """
+        K = self.reduced(self.K)
+        if not len(K):
+            return False
+        noise = _UNBALANCED * self.unbalanced.abs().max() + _ROUNDING * K.abs().max()
+        return bool((K - K.T).abs().max() > noise)
+
+
+def negative_mass(inertia: Tensor) -> bool:
+    """Whether an eigenvalue of N' M N is negative, beyond rounding."""
+    masses = torch.linalg.eigvalsh(inertia)
+    return bool(len(masses)) and float(masses[0]) < -_ZERO_MASS * float(masses[-1])
+
+
+def factored_inertia(inertia: Tensor) -> Tensor:
+    """L with L L' = N' M N. DesignFailure where it is not positive definite: vibrations do not exist."""
+    if negative_mass(inertia):
+        raise DesignFailure(
+            f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
+        )
+    L, singular = torch.linalg.cholesky_ex(inertia)
+    if int(singular):
+        raise DesignFailure(
+            "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
+            "allowed: masses and inertias > 0 of all that is free to move"
+        )
+    return L
+
+
+@dataclass(frozen=True)
+class Vibrations:
+    """Small vibrations of one design.
+
+    frequencies   [freedoms] [Hz], ascending, without damping; zero for a freedom without stiffness, nan for an unstable one
+    shapes        [n_v, freedoms], increments of the coordinates of unit modal mass
+    poles         [2 freedoms] [1/s], with damping; on demand
+    grow          whether a vibration grows: by the stiffness or, in a steady rotation, also by the damping
+
+    In a steady rotation the frequencies include Coriolis's forces, the shapes do not. Damping changes no frequency, also where
+    it makes vibrations grow. Where forces turn with a body two freedoms may drive each other (flutter): both frequencies are
+    then nan, and both shapes are the real part of the complex one.
+    """
+
+    frequencies: Tensor
+    shapes: Tensor
+    rest: Linearization
+
+    @cached_property
+    def poles(self) -> Tensor:
+        return _poles(self.rest.inertia, self.rest.reduced(self.rest.C), self.rest.stiffness)
+
+    @cached_property
+    def grow(self) -> bool:
+        if bool(self.frequencies.isnan().any()):
+            return True
+        if not self.rest.rotates or self.rest.gyroscopic or not len(self.frequencies):
+            return False
+        size, largest = self.poles.abs(), 2.0 * math.pi * self.frequencies[-1]  # strong dampers have much larger poles
+        return bool(((self.poles.real > GROWS * size) & (size > _AT_REST * largest)).any())
+
+    @classmethod
+    def of(cls, rest: Linearization) -> Vibrations:
+        """Solve the eigenvalue problem in the null space. InputError where the inertia is not positive definite."""
+        M, K_full = rest.inertia, rest.reduced(rest.K)
+        K = 0.5 * (K_full + K_full.T)
+        inverse = torch.linalg.inv(rest.factored_inertia())
+        flutters = rest.nonconservative and not rest.rotates
+        squares, Y = _flutter(inverse @ K_full @ inverse.T) if flutters else torch.linalg.eigh(inverse @ K @ inverse.T)
+        n = len(squares)
+        shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
+        shapes[rest.active] = rest.N @ (inverse.T @ Y)
+        squares = torch.where(squares.abs() <= rounding_of_squares(rest, shapes, squares), 0.0, squares)
+        if not rest.rotates or not n:
+            return cls(squares.sqrt() / (2.0 * math.pi), shapes, rest)
+        C = rest.reduced(rest.C)
+        w, _ = whirl(_poles(M, 0.5 * (C - C.T), K))
+        return cls(w / (2.0 * math.pi), shapes, rest)
+
+
+def whirl(poles: Tensor) -> tuple[Tensor, Tensor]:
+    """Angular frequencies [n] [rad/s] of the poles [2 n] of a system with Coriolis's forces and no damping, ascending; and the
+    numbers of the poles with a positive imaginary part.
+
+    A frequency is zero for a free motion and nan where the vibration grows. A negative stiffness does not imply that it does,
+    as Coriolis's forces may stabilize.
+    """
+    size, w = poles.abs(), poles.imag.abs()
+    rounding = _AT_REST * w.amax()
+    w = torch.where(w > rounding, w, 0.0)
+    rate = poles.real.abs()
+    sure = rate * size > torch.finfo(w.dtype).eps * w.amax().square()  # rounding is that of squares of the largest
+    grows = (rate > GROWS * size) & (size > rounding) & sure
+    order = (~grows).to(torch.int8).argsort(stable=True)  # the unstable before the free, as at rest
+    pairs = order[w[order].argsort(stable=True)].reshape(-1, 2)
+    upper = torch.where(poles.imag[pairs[:, 0]] >= 0.0, pairs[:, 0], pairs[:, 1])
+    return torch.where(grows[upper], torch.nan, w[upper]), upper
+
+
+def _poles(M: Tensor, C: Tensor, K: Tensor) -> Tensor:
+    """Poles [2 n] of M y'' + C y' + K y = 0."""
+    n = len(M)
+    A = torch.zeros(2 * n, 2 * n, dtype=K.dtype)
+    A[:n, n:] = torch.eye(n, dtype=K.dtype)
+    A[n:, :n], A[n:, n:] = -torch.linalg.solve(M, K), -torch.linalg.solve(M, C)
+    return torch.linalg.eigvals(A)
+
+
+def rounding_of_squares(rest: Linearization, shapes: Tensor, squares: Tensor) -> Tensor:
+    """Squares of angular frequencies [freedoms] that count as zero: rounding of energies that cancel, and of eigenvalues.
+
+    A share of the largest square alone would make a heavy part on a light stiff shaft a free one.
+    """
+    if not len(squares):
+        return squares
+    terms = (shapes.abs() * (rest.K.abs() @ shapes.abs())).sum(0)
+    return _CANCELS * terms + _EIGEN * len(squares) * squares.abs().nan_to_num().amax()
+
+
+def _flutter(A: Tensor) -> tuple[Tensor, Tensor]:
+    """Eigenvalues of an unsymmetric matrix by rising real parts, nan where they are complex, and the real parts of vectors."""
+    values, vectors = torch.linalg.eig(A)
+    order = values.real.argsort()
+    values, Y = values[order], vectors[:, order].real
+    squares = torch.where(values.imag.abs() > GROWS * values.abs(), torch.nan, values.real)
+    return squares, Y / Y.norm(dim=0)
+
+
+def _in_body_axes(T: Topology, at: Any, forces: Tensor) -> Any:
+    """Forces [n_v, ...] with torques in body axes, out of forces [n_v] with torques in ground axes, at a placement."""
+    n = T.bodies
+    torques = matvec_t(at.A[:, :, :n], forces[3 * n : 6 * n].reshape(3, n, 1, 1)).flatten(0, 1)
+    return cat([forces[: 3 * n, None, None], torques, forces[6 * n :, None, None]])
+
+
+def unpadded_rates(T: Topology, data: equations.Data, lanes: int) -> list[Tensor]:
+    """Rows of v of each lane but those that pad the modes of bodies and designs with fewer modes than others."""
+    rigid = torch.arange(6 * T.bodies)
+    if not T.flexible:
+        return [rigid] * lanes
+    Kr = value(data["Kr"])[:, :, :, 0].permute(3, 2, 0, 1)  # [lanes, bodies, m, m]
+    retained = (~is_padding(Kr)).mT.flatten(1).expand(lanes, -1)
+    return [torch.cat([rigid, len(rigid) + row.nonzero()[:, 0]]) for row in retained]
+
+
+def null_space(J: Tensor) -> Tensor:
+    """Orthonormal basis [n, k] of the null space of a Jacobian [rows, n]; rows scaled to length one.
+
+    Columns without entries are basis vectors themselves: mixed with others, soft freedoms would get the rounding of stiff ones.
+    """
+    n = J.shape[1]
+    if not len(J):
+        return torch.eye(n, dtype=J.dtype)
+    bound = (J != 0.0).any(0)
+    A = J[:, bound]
+    _, s, Vh = torch.linalg.svd(A / A.norm(dim=1, keepdim=True), full_matrices=True)
+    null = Vh[int((s > RELATIVE * s[0]).sum()) :].T
+    free = torch.eye(n, dtype=J.dtype)[:, ~bound]
+    basis = J.new_zeros(n, null.shape[1])
+    basis[bound] = null
+    return torch.cat([free, basis], 1)
+
+
+def _tangents(x: Any) -> tuple[Tensor, ...]:
+    """Tangents [n, k] of each lane."""
+    return x.tangent.unbind(-1)

@@ -1,0 +1,1 @@
+"""Start of a motion: joints closed, velocities compatible, modal coordinates of each design."""

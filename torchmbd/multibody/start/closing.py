@@ -1,0 +1,112 @@
+"""What the start moves to close joints: how far joints are open where the bodies were put, and how far each body goes.
+
+    gap      |Phi| of the rows of a joint at the given positions: those of a length [m], those of the sine of an angle [rad]
+    distance of a body: the farthest way of its origin and of the points on it that joints and forces have [m]
+    angle    of its rotation [rad]
+
+Elastic displacements that bodies were given count as none in a gap: that joints follow a bent body is what was asked for.
+Source of the limit of the warning: positions are typed with three digits or more, so a share of 1e-3 of the size of the
+mechanism (the diagonal of the box about all points and origins), or 1e-3 rad, is rounding, and more is a mistake.
+Checked in tests/multibody/start/test_closing.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import warn
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.joints.primitive import Angle, Perpendicular
+
+_FAR = 1e-3  # share of the size of the mechanism [-], angle [rad]: see the header
+_ROUNDING = 1e-9  # the same below which nothing is listed
+_SHOWN = 4  # joints, and bodies, in a warning
+
+
+@dataclass(frozen=True)
+class Way:
+    """A joint or a body with a length [m] and an angle [rad]: a gap, or the way that a body is moved."""
+
+    name: str
+    distance: float
+    angle: float
+
+    def __str__(self) -> str:
+        parts = [f"{self.distance:.3g} m"] * (self.distance > 0.0) + [f"{self.angle:.3g} rad"] * (self.angle > 0.0)
+        return f"{self.name!r} by {' and '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class Closing:
+    """What the start moves to close joints, each the farthest first.
+
+    joints   those that are open where the bodies were put
+    bodies   those that are moved
+    far      whether a joint is open by more than rounding of positions (module header)
+    """
+
+    joints: tuple[Way, ...] = ()
+    bodies: tuple[Way, ...] = ()
+    far: bool = False
+
+    @classmethod
+    @torch.no_grad()
+    def of(cls, dynamics: Any, start: Tensor, closed: Tensor) -> Closing:
+        """That of one design from given coordinates to closed ones [n_q, 1, 1]."""
+        T, data = dynamics.topology, dynamics.values().data
+        t = torch.zeros((), dtype=torch.float64)
+        undeformed = start.clone()
+        equations.split_q(T, undeformed)[2].zero_()
+        before, after, still = (
+            equations.placement(T, data, q, T.prescribed(t, data)) for q in (start, closed, undeformed)
+        )
+        points = torch.tensor([x.is_point for x in T.attached], dtype=torch.bool)
+        origins = start[: 3 * T.bodies, 0, 0].reshape(3, -1)
+        places = torch.cat([origins, before.g[:, points, 0, 0]], 1)
+        size = float((places.amax(1) - places.amin(1)).norm())
+        gaps, phi = {}, equations.constraints(T, still)[:, 0, 0].abs()
+        for kind, rows in T.row_slices():
+            unit = 2 if kind.angles and not kind.travels else int(isinstance(kind, (Perpendicular, Angle)))
+            for i in range(rows.start, rows.stop):
+                gaps.setdefault(T.row_joints[i], [0.0, 0.0, 0.0])[unit] += float(phi[i]) ** 2
+        joints = [Way(name, x[0] ** 0.5, math.asin(min(x[1] ** 0.5, 1.0)) + x[2] ** 0.5) for name, x in gaps.items()]
+        bodies = [_way(T, k, before, after, start, closed) for k in range(T.bodies)]
+        return cls(
+            *(_listed(ways, size) for ways in (joints, bodies)),
+            far=any(way.distance > _FAR * size or way.angle > _FAR for way in joints),
+        )
+
+    def __str__(self) -> str:
+        shown = [
+            ", ".join(map(str, ways[:_SHOWN])) + f" and {len(ways) - _SHOWN} more" * (len(ways) > _SHOWN)
+            for ways in (self.joints, self.bodies)
+        ]
+        return f"joints are open where the bodies were put: {shown[0]}; to close them the start moves {shown[1]}"
+
+
+def warn_far(closing: Closing) -> None:
+    """Warn of joints that are open by more than rounding of positions."""
+    if closing.far:
+        warn(f"{closing}; allowed: positions, axes and laws of drives at t = 0 that fit (system.describe() lists all)")
+
+
+def _way(T: Any, body: int, before: Any, after: Any, start: Tensor, closed: Tensor) -> Way:
+    """How far a body is moved."""
+    points = [i for i, x in enumerate(T.attached) if int(T.vector_body[i]) == body and x.is_point]
+    r, p = T.r_slice(body), T.p_slice(body)
+    ways = torch.cat([(closed - start)[r, 0], (after.g - before.g)[:, points, 0, 0]], 1).norm(dim=0)
+    p, p0 = closed[p, 0, 0], start[p, 0, 0]
+    chord = torch.minimum((p - p0).norm(), (p + p0).norm())  # 2 sin(angle / 4): Euler parameters have half the angle
+    return Way(T.names[body], float(ways.max()), float(4.0 * torch.asin(0.5 * chord)))
+
+
+def _listed(ways: list[Way], size: float) -> tuple[Way, ...]:
+    """The ways beyond rounding, the farthest first, with rounding set to zero."""
+    rounded = [Way(x.name, x.distance * (x.distance > _ROUNDING * size), x.angle * (x.angle > _ROUNDING)) for x in ways]
+    moved = [x for x in rounded if x.distance or x.angle]
+    return tuple(sorted(moved, key=lambda x: -max(x.distance / (size or 1.0), x.angle)))

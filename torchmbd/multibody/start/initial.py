@@ -1,0 +1,347 @@
+"""Consistent initial conditions: joints closed by Newton's method, then compatible velocities.
+
+Modal coordinates start as they were given (modal_start.py), by default undeformed and at rest in their body frames; the
+rigid coordinates move as little as possible (minimum norm) from the given approximate positions and velocities. Rates that
+satisfy the constraints have three levels, and a level changes only where no rates of the levels before it would do:
+
+    1  rigid velocities that were not given       least sum of squares
+    2  rigid velocities that were given           least change
+    3  modal rates                                least kinetic energy 1/2 w' w of the change: modes have unit modal mass
+
+A platform that is guided by leaves has elastic travel alone: a drive that starts with a speed bends the leaves (level 3).
+
+    q <- q o s,  s = -K Phi(q, t0)           repeated until closed; rigid coordinates alone
+    v = v0 + s,  s = -K (J v0 + Phi_t)       v0 = 0 where no velocity was given
+
+J is the Jacobian Phi_q at the current step, and K its inverse by levels, with the derivatives of rate_levels.py: K dPhi, and
+for a velocity K d(J v0 + Phi_t). A given velocity that changes gives a warning.
+
+Pairs, and tensors that require gradients, are carried through every step, and through a last step at the closed joints.
+InputError names the joints that do not close, with their residuals; a warning those that are closed from afar (closing.py).
+The start of undeformed bodies depends on the attached points and the laws of drives only. Where these do not depend on the
+design, and no velocity needs modal rates, the start of the first design is that of all (`SharedStart`). Positions and
+velocities that are Parameters of bodies are data of a design, "q0" and "v0".
+Checked in tests/multibody/start/test_initial.py, tests/multibody/start/test_compliant_start.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError, warn
+from torchmbd.math.gradients import all_true, untransformed, wraps
+from torchmbd.math.module_call import outside_transforms
+from torchmbd.math.pair import Pair, apply, cat, linear, value
+from torchmbd.math.rotation import euler_parameters
+from torchmbd.multibody.bodies.frame import given_velocities
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.beams import stored_energy
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.saddle.condensation import Condensation, condense
+from torchmbd.multibody.saddle.rank import Rank
+from torchmbd.multibody.start.closing import Closing, warn_far
+from torchmbd.multibody.start.rate_levels import RateLevel, rate_levels
+from torchmbd.multibody.start.rigid_groups import RigidGroups
+
+_CLOSED = 1e-11  # [m] or [-]: largest violation of a closed joint
+_STRAINING = 1e-8  # [m] or [-]: largest violation of joints after rigid motions that strains beams without a warning
+_STEPS = 50
+_KEPT = 1e-6  # share of the largest given velocity by which one may change without a warning
+_OPEN = 1e-9  # share of the largest rate by which rounding leaves constraint rates open
+_SHOWN = 4  # changed velocities in a warning, the worst first
+
+
+START_DATA = ("q0", "v0")  # keys of initial coordinates and rates in the data of a design, where these vary
+
+
+def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
+    """Coordinates [n_q, 1, lanes] and rates [n_v, 1, lanes] that `bodies` were given, in the order of the topology."""
+
+    def rows(*kinds: list[Tensor]) -> Tensor:
+        lanes = max((x.shape[0] for kind in kinds for x in kind if x.dim() > 1), default=1)
+        wide = [torch.stack([x.expand(lanes, -1) for x in kind], -1).flatten(1) for kind in kinds if kind]
+        return torch.cat(wide, 1).T[:, None]
+
+    def modal(name: str) -> list[Tensor]:
+        pairs = zip(bodies, T.mode_counts, strict=False)  # flexible bodies are the first
+        return [of_modes(f"{b.name}.{name}", getattr(b, name), count, T.modes) for b, count in pairs]
+
+    turns = [torch.zeros(T.turn_count, dtype=torch.float64)]  # angles are measured from the given positions
+    q = rows([b.position for b in bodies], [euler_parameters(b.axes) for b in bodies], modal("modal"), turns)
+    v = rows([b.velocity for b in bodies], [b.angular_velocity for b in bodies], modal("modal_velocity"))
+    return {"q0": q, "v0": v}
+
+
+def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
+    """Modal coordinates or rates x [..., k] of `count` modes, padded to [..., modes].
+
+    Raises InputError where they move modes beyond these: the first design has more than others.
+    """
+    if not all_true(x[..., count:] == 0.0):
+        raise InputError(
+            f"start: {name!r} = {untransformed(x).tolist()}: must be zero for mode {count + 1} and the following, as a design "
+            f"retains {count} modes"
+        )
+    return torch.nn.functional.pad(x[..., :count], (0, modes - min(count, x.shape[-1])))
+
+
+@dataclass(frozen=True, eq=False)
+class SharedStart:
+    """Initial state of all designs whose start depends on the same inputs.
+
+    q, v    the initial state [n, 1, 1]
+    ranks   topology -> rank of its constraints, where that does not depend on the modes of bodies
+    """
+
+    q: Tensor
+    v: Tensor
+    ranks: dict[Topology, Rank]
+
+
+@dataclass(frozen=True, eq=False)
+class InitialConditions:
+    """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies.
+
+    rate_mask   which velocities users gave [n_v];  built: attached vectors [3, vectors, 1] of the model as it was built
+    """
+
+    topology: Topology
+    q: Tensor
+    v: Tensor
+    rate_mask: Tensor
+    built: Tensor
+    # inputs (attached points, and laws with their slopes at the start), and the start that designs share with these
+    _last: list[tuple[list[Tensor], SharedStart | None]] = field(default_factory=list, init=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_last": []}  # a cache of results, no part of the model
+
+    @classmethod
+    def of(cls, topology: Topology, bodies: list[Any]) -> InitialConditions:
+        """Those of `bodies`, which are in the order of the topology."""
+        start = {name: x[:, 0, 0].detach().clone() for name, x in start_of_bodies(topology, bodies).items()}
+        mask = torch.tensor([given_velocities(b) for b in bodies]).T[:, None].expand(2, 3, -1).flatten()
+        modal = torch.zeros(topology.n_v - len(mask), dtype=torch.bool)
+        built = torch.zeros(3, topology.vectors, 1, dtype=torch.float64)
+        for i, x in enumerate(topology.attached):
+            built[:, i, 0] = untransformed(x.now()).reshape(-1, 3)[0]
+        return cls(topology, start["q0"], start["v0"], torch.cat([mask, modal]), built)
+
+    @cached_property
+    def condensed(self) -> Condensation | None:
+        """The condensation of the joints to the ground; None if there is nothing to condense."""
+        return condense(self.topology, self.q) if self.topology.rows else None
+
+    def shared_start(self, dynamics: Any) -> SharedStart | None:
+        """The start of all designs of `dynamics`; None if it depends on the design. Raises InputError as `solve` does."""
+        T, x = self.topology, dynamics.data["x"]
+        if (
+            not T.rows
+            or T.varying_primitives
+            or T.varying_vectors
+            or START_DATA[0] in dynamics.data
+            or isinstance(x, Pair)
+            or x.requires_grad
+            or x.shape[-1] > 1
+            or wraps(*map(value, dynamics.data.values()))  # what is kept has to outlast the transform
+        ):
+            return None
+        laws = [drive for drive in T.law_jets(x.new_zeros(()), dynamics.data) if drive]
+        inputs = [x, *(part for drive in laws for jet in drive for part in jet.parts)]
+        if not self._last or not all(map(torch.equal, inputs, self._last[0][0])):
+            data = {name: value(y).detach()[..., :1] for name, y in dynamics.data.items()}
+            data |= {name: torch.zeros_like(data[name]) for name in ("Y", "E") if name in data}
+            undeformed = replace(dynamics, data=data)
+            q, v = self.assembled(undeformed)
+            shared = None
+            if not self._needs_modes(undeformed, q, v):
+                shared = SharedStart(q, self.compatible(undeformed, q, v), {})
+            self._last[:] = [(inputs, shared)]
+        return self._last[0][1]
+
+    def _needs_modes(self, undeformed: Any, q: Tensor, v: Tensor) -> bool:
+        """Whether rigid rates leave constraint rates open at q [n_q, 1, 1] and given v [n_v, 1, 1]."""
+        if not self.topology.flexible:
+            return False
+        joints = _Joints.of(undeformed, q, q.new_zeros(()), [self.rigid_mask])
+        x = joints.rates(v)
+        size = max(float(y.abs().max()) for y in (v, x))
+        return float(joints.open_rates(x).abs().max()) > _OPEN * size
+
+    @property
+    def rigid_mask(self) -> Tensor:
+        """Rates that deform no body [n_v]."""
+        return torch.arange(self.topology.n_v) < 6 * self.topology.bodies
+
+    @property
+    def closing_levels(self) -> list[Tensor]:
+        """Levels of the coordinates that close the joints [n_v]."""
+        return [self.rigid_mask]
+
+    def solve(self, dynamics: Any):
+        """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes] with closed joints; pairs where they depend on pairs.
+
+        Raises InputError that names the joints that do not close.
+        """
+        if dynamics.shared_start is None:
+            return self._solve(dynamics)
+        return tuple(
+            x.expand(-1, 1, dynamics.lanes).contiguous() for x in (dynamics.shared_start.q, dynamics.shared_start.v)
+        )
+
+    def _solve(self, dynamics: Any):
+        q, v = self.assembled(dynamics)
+        return q, self.compatible(dynamics, q, v)
+
+    def assembled(self, dynamics: Any):
+        """Positions q that close the joints, and the rates v that bodies were given [n, 1, lanes]; pairs as in `solve`."""
+        T, data = self.topology, dynamics.data
+        device = value(data["x"]).device
+        lanes = dynamics.lanes
+        t = torch.zeros((), dtype=torch.float64, device=device)
+        q, v = (
+            linear(lambda y: y.expand(*y.shape[:-1], lanes).contiguous(), data.get(name, x.to(device)[:, None, None]))
+            for name, x in zip(START_DATA, (self.q, self.v), strict=True)
+        )
+        if not T.rows:
+            return q, v
+        start = value(q).detach()
+        if T.beams is not None:
+            q = RigidGroups.by_beams(T).closed(dynamics, q, t, _CLOSED)
+        unstrained = value(q).detach()
+        for step in range(_STEPS):
+            joints = _Joints.of(dynamics, q, t, self.closing_levels)
+            phi = joints.violation()
+            if float(untransformed(value(phi)).abs().max()) < _CLOSED:
+                if step or T.beams is not None:
+                    dynamics.outside_transforms(self._warn_moved, start, value(q).detach())
+                if step and T.beams is not None:
+                    dynamics.outside_transforms(self._warn_strained, unstrained, value(q).detach())
+                break
+            s = -joints.correction(value(phi).detach())
+            residual = phi + joints.rates(s) - joints.rates(0.0 * s)
+            q = equations.advance(T, q, s + joints.jacobian_part(s) - joints.correction(residual))
+        else:
+            outside_transforms(self._refuse, value(phi))
+        return equations.advance(T, q, -joints.correction(phi)), v
+
+    def closing(self, dynamics: Any) -> Closing:
+        """What closing the joints of one design moves."""
+        if not self.topology.rows:
+            return Closing()
+        start = value(dynamics.data.get(START_DATA[0], self.q[:, None, None])).detach()
+        return Closing.of(dynamics, start, value(self.assembled(dynamics)[0]).detach())
+
+    def _warn_moved(self, dynamics: Any, start: Tensor, q: Tensor) -> None:
+        """Warn of joints that are open in the model as it was built. That other designs move bodies is what they are for."""
+        if not float((q - start).abs().max()) > _CLOSED:
+            return
+        same = (value(dynamics.data["x"])[:, :, 0].detach() == self.built).all(0).all(0)
+        if bool(same.any()):
+            lane = int(same.nonzero()[0, 0])
+            start, q = (x[..., min(lane, x.shape[-1] - 1)][..., None] for x in (start, q))
+            warn_far(Closing.of(dynamics.select_lanes([lane]) if dynamics.lanes > 1 else dynamics, start, q))
+
+    def _warn_strained(self, dynamics: Any, unstrained: Tensor, q: Tensor) -> None:
+        """Warn of joints that no rigid motion of exact beams closes."""
+        T, data, t = self.topology, dynamics.values().data, torch.zeros((), dtype=torch.float64)
+        before, after = (equations.placement(T, data, x, T.prescribed(t, data)) for x in (unstrained, q))
+        gap = float(equations.constraints(T, before).abs().max())
+        if gap > _STRAINING:
+            energy = float((stored_energy(T, data, after) - stored_energy(T, data, before)).max())
+            warn(  # few different texts: Python shows each once in an optimization
+                f"closing the joints strains exact beams: {gap:.1g} m or rad are left where they move as rigid bodies, and the "
+                f"start has {energy:.1g} J of strain energy more; allowed: beams that fit between their joints"
+            )
+
+    def compatible(self, dynamics: Any, q: Any, v: Any):
+        """Rates [n_v, 1, lanes] that the joints allow at closed positions q [n_q, 1, lanes], nearest to v [n_v, 1, lanes]."""
+        if not self.topology.rows:
+            return v
+        t = torch.zeros((), dtype=torch.float64, device=value(q).device)
+        levels = [self.rigid_mask & ~self.rate_mask, self.rate_mask, ~self.rigid_mask]
+        joints = _Joints.of(dynamics, q, t, levels)
+        s = -joints.correction(value(joints.rates(v)).detach())
+        outside_transforms(self._warn_changed, value(v), s)
+        return v + s + joints.jacobian_part(s) - joints.correction(joints.rates(v + s))
+
+    def _warn_changed(self, v: Tensor, s: Tensor) -> None:
+        """Warn of given velocities v that corrections s change [n_v, 1, lanes]."""
+        v, s = v[:, 0], s[:, 0]
+        n, changed = self.topology.bodies, []
+        for k, (kind, unit) in enumerate((("velocity", "m/s"), ("angular velocity", "rad/s"))):
+            for i, name in enumerate(self.topology.names):
+                rows = [3 * n * k + n * j + i for j in range(3)]
+                change, lane = s[rows].norm(dim=0).max(0)
+                if self.rate_mask[rows[0]] and float(change) > _KEPT * float(v[:, lane].abs().max()):
+                    before, new = (", ".join(f"{x:.4g}" for x in y[rows, lane].tolist()) for y in (v, v + s))
+                    changed.append((-float(change), f"{kind} of {name!r} given ({before}), starts with ({new}) {unit}"))
+        if changed:
+            shown, more = [text for _, text in sorted(changed)[:_SHOWN]], len(changed) - _SHOWN
+            warn(
+                f"the joints do not allow the initial velocities that the bodies were given: {'; '.join(shown)}"
+                + (f"; and {more} more" if more > 0 else ""),
+            )
+
+    def _refuse(self, phi: Tensor) -> None:
+        T, phi = self.topology, phi.abs().amax((1, 2))
+        worst = torch.argsort(phi, descending=True)[:4]
+        rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > _CLOSED)
+        raise InputError(
+            f"the mechanism does not close at the given positions, lengths and axes: {rows}. "
+            "Allowed: positions from which Newton's method can close all joints"
+            + (", or start='equilibrium', which bends flexible bodies to close them" if T.flexible else "")
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Joints:
+    """The joints of all lanes at coordinates q and time t; level: the last of the rates that satisfy them."""
+
+    dynamics: Any
+    at: equations.Placement
+    t: Tensor
+    level: RateLevel
+
+    @classmethod
+    def of(cls, dynamics: Any, q: Any, t: Tensor, masks: Sequence[Tensor]) -> _Joints:
+        """masks: the rates of each level [n_v], the preferred ones first."""
+        T, data = dynamics.topology, dynamics.data
+        values = {name: value(x).detach() for name, x in data.items()}
+        plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
+        J = dynamics.saddle.jacobian(values, plain)
+        at = equations.placement(T, data, q, T.prescribed(t, data))
+        return cls(dynamics, at, t, rate_levels(T, J, [mask.to(J.device) for mask in masks if bool(mask.any())]))
+
+    def violation(self) -> Any:
+        """Phi [rows, ...]."""
+        return equations.constraints(self.dynamics.topology, self.at)
+
+    def rates(self, v: Any) -> Any:
+        """Phi' = J v + Phi_t [rows, ...]."""
+        T, data = self.dynamics.topology, self.dynamics.data
+        return equations.constraint_jets(T, self.at, data, v, torch.zeros_like(value(v)), self.t).velocity
+
+    def correction(self, x: Any) -> Any:
+        """K x [n_v, ...] of x [rows, ...]."""
+        return linear(lambda y: apply(self.level.K, y), x)
+
+    def open_rates(self, x: Tensor) -> Tensor:
+        """The part of constraint rates x [rows, ...] that no rates of the levels make."""
+        return x - apply(self.level.made, x)
+
+    def jacobian_part(self, s: Tensor) -> Any:
+        """D [n_v, ...]: derivatives of J in a correction s at fixed Phi + J s, of value zero."""
+        D = self.level.changes(s, self._constraint_forces)
+        return D - value(D).detach()  # rounding, of small bodies with large modes
+
+    def _constraint_forces(self, y: Tensor) -> Any:
+        """J' y [n_v, ...] with the derivatives of J."""
+        T, data = self.dynamics.topology, self.dynamics.data
+        return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])
