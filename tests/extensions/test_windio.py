@@ -13,6 +13,7 @@ import yaml
 import torchmbd as mbd
 from torchmbd.errors import InputError
 from torchmbd.extensions.windio.blade import WindIOBlade, _loaded
+from torchmbd.extensions.windio.contours import Contours
 
 FLAT = [0.0, 1.0]
 
@@ -193,10 +194,10 @@ def test_what_reaches_beyond_the_contour_is_cut_off_with_a_warning(blade):
 @pytest.mark.thorough
 def test_a_blade_of_one_airfoil(blade):
     """The same airfoil at both ends, or one alone: its own contour everywhere."""
-    one = [{"name": "root", "coordinates": wing(), "relative_thickness": 0.3}]
+    airfoils = {"root": {"coordinates": wing(), "relative_thickness": 0.3}}
     result = blade(wing(), FULL, WEBS)
-    for position in ({"grid": FLAT, "labels": ["root", "root"]}, {"grid": [0.0], "labels": ["root"]}):
-        result._airfoils(position, {"root": one[0]})
+    for labels, grid in ((["root", "root"], FLAT), (["root"], [0.0])):
+        result._contours = Contours(labels, grid, airfoils)
         x, y = result.contour(0.37).T
         expected = np.interp(x[:100][::-1], wing()["x"][79::-1], wing()["y"][79::-1])
         np.testing.assert_allclose(y[:100][::-1], expected, atol=2e-3)
@@ -421,15 +422,14 @@ def test_a_web_without_height_is_left_out_with_a_warning(place, blade):
     assert mass == pytest.approx(float(blade(wing(), [outer], []).section(1.0).mass()[0, 0]), rel=1e-3)
 
 
-def test_two_airfoils_of_one_thickness_blend_along_the_span(blade):
+def test_two_airfoils_of_one_thickness_blend_along_the_span():
     """Between them the contour is linear along the span; a third airfoil changes nothing there."""
     upper = wing(0.3)
     lower = {"x": upper["x"], "y": (0.5 * np.array(upper["y"])).tolist()}
     shapes = (("a", upper, 0.3), ("b", lower, 0.3), ("c", wing(0.1), 0.1))
-    airfoils = [{"name": k, "coordinates": x, "relative_thickness": t} for k, x, t in shapes]
-    result = blade(wing(), FULL, WEBS)
-    result._airfoils({"grid": [0.0, 0.6, 1.0], "labels": ["a", "b", "c"]}, {x["name"]: x for x in airfoils})
-    first, second, last = (result.contour(x) for x in (0.0, 0.6, 1.0))
+    airfoils = {k: {"coordinates": x, "relative_thickness": t} for k, x, t in shapes}
+    contour = Contours(["a", "b", "c"], [0.0, 0.6, 1.0], airfoils)
+    first, second, last = (contour(x) for x in (0.0, 0.6, 1.0))
     np.testing.assert_allclose(second[:, 1], 0.5 * first[:, 1], atol=1e-12)
-    np.testing.assert_allclose(result.contour(0.15), 0.75 * first + 0.25 * second, atol=1e-12)
-    assert second[:, 1].max() > result.contour(0.8)[:, 1].max() > last[:, 1].max()
+    np.testing.assert_allclose(contour(0.15), 0.75 * first + 0.25 * second, atol=1e-12)
+    assert second[:, 1].max() > contour(0.8)[:, 1].max() > last[:, 1].max()

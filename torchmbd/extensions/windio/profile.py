@@ -12,6 +12,7 @@ Checked in tests/extensions/test_windio.py.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,10 @@ class Layer:
 
 @dataclass(frozen=True)
 class Web:
-    """(number, thickness) of its layers from the leading edge to the trailing one; where it meets both sides of the contour."""
+    """(number, thickness) of its layers from the leading edge to the trailing one, and its ends on both sides.
+
+    The ends are positions from the middle of the trailing edge.
+    """
 
     name: str
     layers: tuple[tuple[int, float], ...]
@@ -70,6 +74,20 @@ class Profile:
         self.length = float(steps[: len(points) - 1].sum())
         self.arc = np.concatenate([[0.0], np.cumsum(steps)]) / self.length
         self.closed = float(self.arc[-1])  # at least 1
+        self.around = self.length * self.closed  # m, with the trailing edge
+
+    def on_contour(self, at: float) -> float:
+        """Return the position along the contour of one from the middle of the trailing edge, whose points are at its ends."""
+        position = 0.5 + (at - 0.5) * self.closed
+        return min(max(position, 0.0), 1.0) if 0.0 <= at <= 1.0 else position
+
+    def from_middle(self, s: Any) -> Any:
+        """Return the position from the middle of the trailing edge of one along the contour: parts of it with the edge."""
+        return 0.5 + (s - 0.5) / self.closed
+
+    def off_edge(self, at: float) -> float:
+        """Return a position from the middle of the trailing edge; the end of the edge if it lies on the edge."""
+        return self.from_middle(self.on_contour(at))
 
     def at(self, s: Array) -> Array:
         """Points at positions."""
@@ -110,6 +128,7 @@ def profile_section(
     for web, pair in zip(webs, feet, strict=True):
         low, high = min(x.min() for x in pair), max(x.max() for x in pair)
         if low < 0.0 or high > 1.0:
+            low, high = profile.from_middle(low), profile.from_middle(high)
             raise InputError(
                 f"web {web.name!r} reaches from {low:.4f} to {high:.4f} of the contour; allowed: 0 to 1, with its thickness"
             )
@@ -158,7 +177,7 @@ def _thick(faces: Array, j: int) -> Array:
 def _feet(web: Web, profile: Profile, sign: int) -> Array:
     """Positions of the faces of a web's layers, from the trailing edge: rising on the suction side, falling on the other."""
     widths = np.cumsum([0.0, *(t for _, t in reversed(web.layers))]) - 0.5 * web.thickness
-    return (web.start if sign > 0 else web.end) + sign * widths / profile.length
+    return profile.on_contour(web.start if sign > 0 else web.end) + sign * widths / profile.length
 
 
 def _stations(profile: Profile, layers: list[Layer], feet: list[Array], cells: int) -> Array:
@@ -225,7 +244,7 @@ def _faces(profile: Profile, s: Array, depth: Array, order: int) -> list[Array]:
     normal[-1] = normal[0]
     p = profile.at(s)
     p[-1] = p[0]
-    ends = _untangled(s, p, at_station, normal)
+    ends = _untangled(profile.from_middle(s), p, at_station, normal)
     faces = []
     for k in range(closed):
         low, high = ends[k], ends[k + 1]

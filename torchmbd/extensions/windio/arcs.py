@@ -1,0 +1,158 @@
+"""Positions along the contour where layers and webs start and end.
+
+Both classes answer `layer(name, side, position, profile)` and `web(name, side, position, profile)`: the position along the
+contour at a part of the span, for a side ("start" or "end"). Positions are parts of the contour with its trailing edge. They
+start in the middle of the edge, run over the suction side, and are 1 in the middle of the edge again. A width is laid off along
+the contour, so beside the trailing edge it starts at the edge's end.
+`LayerArcs` has the rules of windIO 1, where layers say themselves what they lie beside; `AnchorArcs` those of windIO 2, where
+layers and webs refer to anchors.
+Checked in tests/extensions/test_windio.py, tests/extensions/test_windio_versions.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.extensions.windio.profile import Profile
+from torchmbd.extensions.windio.span_values import span_values
+
+TRAILING_EDGE = {"start": 0.0, "end": 1.0}
+_OTHER = {"start": "end", "end": "start"}
+_SIGN = {"start": -1.0, "end": 1.0}
+_ROUNDING = 1e-6  # of a web: a layer with an end as near to the web's reaches it
+_HANDLES = ("start_nd_arc", "end_nd_arc", "midpoint_nd_arc")
+
+
+class LayerArcs:
+    """Rules of windIO 1: a layer has `start_nd_arc` and `end_nd_arc`, or one and `width`; `fixed` names a neighboring layer."""
+
+    def __init__(self, layers: Mapping[str, Any], webs: Mapping[str, Any]) -> None:
+        self._layers, self._webs = layers, webs
+
+    def web(self, name: str, side: str, position: float, profile: Profile) -> float:
+        """Return the position along the contour where a web starts or ends."""
+        return span_values(f"{side} of {name}", self._webs[name][f"{side}_nd_arc"])(position)
+
+    def layer(self, name: str, side: str, position: float, profile: Profile, depth: int = 0) -> float:
+        """Return the position along the contour where a layer starts or ends; `fixed` names an edge, or a neighboring layer."""
+        layer, other = self._layers[name], _OTHER[side]
+        arc = layer.get(f"{side}_nd_arc")
+        if arc is not None:
+            fixed = arc.get("fixed")
+            if fixed == "TE":
+                return TRAILING_EDGE[side]
+            if fixed in self._layers and depth < len(self._layers):
+                return self.layer(fixed, other, position, profile, depth + 1)
+            if fixed is not None:
+                raise InputError(
+                    f"{side}_nd_arc of layer {name!r} is fixed at {fixed!r}; allowed: TE, or the name of a layer"
+                )
+            return span_values(f"{side}_nd_arc of {name}", arc)(position)
+        if "width" not in layer or depth > len(self._layers):
+            raise InputError(
+                f"layer {name!r} has no {side}_nd_arc; allowed: start_nd_arc and end_nd_arc, or one and width"
+            )
+        width = span_values(f"width of {name}", layer["width"])(position, 0.0) / profile.around
+        beside = self.layer(name, other, position, profile, len(self._layers) + 1)
+        return profile.off_edge(beside) + _SIGN[side] * width
+
+    def whole_web(self, name: str, position: float) -> None:
+        """Layers of webs cover them from end to end in windIO 1."""
+
+
+class AnchorArcs:
+    """Rules of windIO 2: `start_nd_arc` and `end_nd_arc` of layers and webs refer to handles of anchors.
+
+    A handle has numbers along the span, refers to another handle, or follows from `width`, `offset_arc` or `offset_nd_arc`.
+    `plane_intersection` is not computed: InputError names an anchor that has nothing else.
+    """
+
+    def __init__(self, layers: Mapping[str, Any], webs: Mapping[str, Any], anchors: Mapping[str, Any]) -> None:
+        self._layers, self._webs, self._anchors = layers, webs, anchors
+
+    def web(self, name: str, side: str, position: float, profile: Profile) -> float:
+        """Return the position along the contour where a web starts or ends."""
+        return self._end(f"web {name!r}", self._webs[name], side, position, profile)
+
+    def layer(self, name: str, side: str, position: float, profile: Profile) -> float:
+        """Return the position along the contour where a layer starts or ends."""
+        return self._end(f"layer {name!r}", self._layers[name], side, position, profile)
+
+    def _end(self, owner: str, entry: Mapping[str, Any], side: str, position: float, profile: Profile) -> float:
+        key = f"{side}_nd_arc"
+        if key not in entry:
+            raise InputError(f"{owner} has no {key}: must refer to an anchor")
+        anchor, handle = _reference(f"{key} of {owner}", entry[key])
+        return self._handle(f"{key} of {owner}", anchor, handle, position, profile, ())
+
+    def whole_web(self, name: str, position: float) -> None:
+        """InputError where a layer covers a part of its web."""
+        layer = self._layers[name]
+        anchors = {anchor["name"]: anchor for anchor in self._webs[layer["web"]].get("anchors") or []}
+        for side, expected in TRAILING_EDGE.items():
+            entry = f"{side}_nd_arc of layer {name!r}"
+            if f"{side}_nd_arc" not in layer:
+                raise InputError(f"{entry} is missing: must refer to an anchor of web {layer['web']!r}")
+            anchor, handle = _reference(entry, layer[f"{side}_nd_arc"])
+            if anchor not in anchors:
+                raise unknown(f"anchor of {entry}:", anchor, anchors)
+            if handle not in anchors[anchor]:
+                raise InputError(f"anchor {anchor!r} of web {layer['web']!r} has no {handle}")
+            at = span_values(f"{handle} of anchor {anchor!r}", anchors[anchor][handle])(position)
+            if abs(at - expected) > _ROUNDING:
+                raise InputError(
+                    f"{entry} = {at:g} at {position:g}: must be {expected:g}, because a layer covers its whole web. "
+                    "Try: a web for each part"
+                )
+
+    def _handle(
+        self,
+        owner: str,
+        name: str,
+        handle: str,
+        position: float,
+        profile: Profile,
+        through: tuple[tuple[str, str], ...],
+    ) -> float:
+        """Return the position of an anchor's handle; `through` has the handles whose positions need it."""
+        if name not in self._anchors:
+            raise unknown(f"anchor of {owner}:", name, self._anchors)
+        if handle not in _HANDLES:
+            raise InputError(f"handle of {owner} = {handle!r}: must be one of {', '.join(_HANDLES)}")
+        if (name, handle) in through:
+            raise InputError(f"{handle} of anchor {name!r} refers to itself: must have numbers along the span")
+        anchor, through, entry = self._anchors[name], (*through, (name, handle)), f"{handle} of anchor {name!r}"
+
+        def other(reference: Any) -> float:
+            return self._handle(entry, *_reference(entry, reference), position, profile, through)
+
+        if handle in anchor:
+            arc = anchor[handle]
+            return other(arc) if "anchor" in arc else span_values(entry, arc)(position)
+        for key, unit in (("offset_nd_arc", 1.0), ("offset_arc", profile.around)):
+            offset = anchor.get(key)
+            if offset is not None and offset.get("defines") == handle:
+                return other(offset) + span_values(f"{key} of anchor {name!r}", offset)(position) / unit
+        width = anchor.get("width")
+        if width is not None and handle in (width.get("defines") or ()):
+            side = handle.partition("_")[0]
+            share = span_values(f"width of anchor {name!r}", width)(position, 0.0) / profile.around
+            if "midpoint_nd_arc" in anchor:
+                share, beside = 0.5 * share, "midpoint_nd_arc"
+            else:
+                beside = f"{_OTHER[side]}_nd_arc"
+            return profile.off_edge(self._handle(entry, name, beside, position, profile, through)) + _SIGN[side] * share
+        raise InputError(
+            f"anchor {name!r} has no {handle}: must have numbers along the span, or width, offset_arc or offset_nd_arc; "
+            "plane_intersection is not computed. Try: the converter or the optimization tool that writes them"
+        )
+
+
+def _reference(owner: str, entry: Any) -> tuple[str, str]:
+    """Return name and handle of a reference to an anchor."""
+    try:
+        return entry["anchor"]["name"], entry["anchor"]["handle"]
+    except (KeyError, TypeError):
+        raise InputError(f"{owner} = {entry!r}: must be an anchor, with name and handle") from None

@@ -1,0 +1,43 @@
+"""Numbers along the span of a blade: linear between the points of a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchmbd.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SpanValues:
+    """Numbers along the span, linear between the points of a grid."""
+
+    grid: Array
+    values: Array
+
+    def __call__(self, at: float, outside: float | None = None) -> float:
+        return float(np.interp(at, self.grid, self.values, left=outside, right=outside))
+
+
+def span_values(name: str, table: Mapping[str, Any], unit: float = 1.0) -> SpanValues:
+    """Read numbers along the span; InputError where grid and values are not as many rising and finite numbers.
+
+    name   of the entry, for messages
+    table  the entry: `grid` and `values`
+    unit   of the file in SI units; values are multiplied by it
+    """
+    try:
+        grid, values = (np.array(table[key], dtype=float) for key in ("grid", "values"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{name}: {error!r}; allowed: grid and values, numbers") from None
+    if grid.ndim != 1 or grid.shape != values.shape or len(grid) < 1 or not (np.diff(grid) >= 0.0).all():
+        raise InputError(f"{name} has grid {grid.tolist()[:5]} and {values.size} values; allowed: as many, rising")
+    if not (np.isfinite(grid).all() and np.isfinite(values).all()):
+        raise InputError(f"{name} has numbers that are not finite; allowed: finite ones")
+    return SpanValues(grid, unit * values)
