@@ -150,6 +150,12 @@ def test_the_view_of_the_table_names_metrics_that_exist(study):
     assert {"objective", "design/angle_1_deg", "design/angle_2_deg"} <= metrics
     # MLflow shows attributes first, then metrics in their order: the status is the description of a start.
     assert view["selectedColumns"][:2] == ["attributes.`Description`", "metrics.`objective`"]
+    # Charts of metrics without a group come first and are open, those of the others are folded.
+    sections = {section["name"]: section["display"] for section in view["compareRunSections"]}
+    assert next(iter(sections)) == "Model metrics"
+    assert [name for name, is_open in sections.items() if is_open] == ["Model metrics"]
+    of_children = {name.rpartition("/")[0] or "Model metrics" for name in study.children[0].data.metrics}
+    assert of_children <= set(sections)
     for child in study.children:
         assert child.data.tags["mlflow.note.content"] == child.data.tags["status"].replace("_", " ")
 

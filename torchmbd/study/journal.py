@@ -23,6 +23,7 @@ from torchmbd.study.answers import ANSWER
 from torchmbd.study.metric_names import (
     ANALYSES,
     BEST,
+    CONSTRAINT,
     CRITERION,
     DESIGN,
     ERROR,
@@ -30,6 +31,7 @@ from torchmbd.study.metric_names import (
     FAILED,
     ITERATIONS,
     MARGIN,
+    SEARCH,
     START,
     constraint_names,
     gain_metric,
@@ -68,7 +70,12 @@ class Journal(Runs):
         file, overrides = (None, ()) if origin is None else (origin.file, origin.overrides)
         tags |= {"seed": str(origin.data.starts.seed)} if origin is not None and origin.data.starts is not None else {}
         self.begin(study.name, study.resolved(), tags, file, overrides, study.question)
-        self.tracker.view(PARENT, self._columns(kind), "metrics.objective", study.sign > 0.0)
+        groups = [
+            group.rstrip("/")
+            for group in (CRITERION, CONSTRAINT, DESIGN, SEARCH)
+            if group != CRITERION or kind == "front"
+        ]
+        self.tracker.view(PARENT, self._columns(kind), "metrics.objective", study.sign > 0.0, groups)
 
     def _columns(self, kind: str) -> list[str]:
         """Return the columns of the table of the children in MLflow."""

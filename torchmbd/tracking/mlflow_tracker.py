@@ -50,6 +50,7 @@ _RETRY, _LAST_RETRY = (
     0.5,
 )
 _MAX_VALUE = 6000  # characters of a parameter; MLflow's own limit
+_UNGROUPED = "Model metrics"  # section of charts of metrics without a group, by MLflow
 
 
 class MlflowTracker:
@@ -106,11 +107,18 @@ class MlflowTracker:
             self._draft(run).artifacts.append((Path(file).absolute(), folder))
             self._files.setdefault(run, set()).add(f"{folder}/{Path(file).name}".lstrip("/"))
 
-    def view(self, run: str, columns: Sequence[str], order_by: str, ascending: bool = True) -> None:
+    def view(
+        self, run: str, columns: Sequence[str], order_by: str, ascending: bool = True, groups: Sequence[str] = ()
+    ) -> None:
         """Store a view of the run's children that `links.view_link` opens.
 
         columns, order_by   `metrics.objective`, `params.start`, `tags.status`
+        groups              of metrics, the part before the last `/`: their charts are below the others, folded
         """
+        sections = [
+            {"uuid": name, "name": name, "display": name == _UNGROUPED, "isReordered": False, "isGenerated": True}
+            for name in (_UNGROUPED, *groups)
+        ]
         state = {
             "orderByKey": _quoted(order_by),
             "orderByAsc": ascending,
@@ -118,6 +126,9 @@ class MlflowTracker:
             "lifecycleFilter": "Active",
             "selectedColumns": [_quoted(column) for column in columns],
             "runsHiddenMode": "SHOW_ALL",
+            "compareRunCharts": [],  # MLflow adds a chart of each metric to its section
+            "compareRunSections": sections,
+            "isAccordionReordered": True,  # else MLflow sorts sections, and the one without a group is the last
         }
         with self._lock:
             self._draft(run).view = json.dumps(state)
