@@ -82,7 +82,7 @@ class AtPeaks(OfHistory):
     """
 
     count: int = 8
-    error_note: ClassVar[str] = "of each peak; holds while peaks keep their order and number with finer steps"
+    error_note: ClassVar[str] = "the error of each peak assumes that finer steps keep the order and number of peaks"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -157,7 +157,8 @@ class RMS(OfHistory):
 
 
 PEAK_NOTE = (
-    "holds while the same peak is the largest: where another one becomes it, only the difference of the two runs"
+    "the error assumes that the same peak stays the largest; "
+    "where another peak takes over in the finer motion, it is the difference of the two motions"
 )
 
 

@@ -48,7 +48,7 @@ def _positive(name: str, x: Any) -> None:
 
 
 COUNT_NOTE = (
-    "holds while the counted cycles stay the same: cycles that appear or vanish with finer steps make it a jump"
+    "the error assumes that the counted cycles stay the same; the damage jumps where finer steps add or remove a cycle"
 )
 
 
