@@ -10,6 +10,7 @@ MuJoCo
     mujoco_identification  a double pendulum, by its differences: `python -m experiments.peers.mujoco_identification`
 Files of others, read unedited; a variable of the environment names the folder of their repository
     robots, flexible_arm   URDF, against the recursion of newton_euler; FLEXIBLE_ARM_MODELS, EXAMPLE_ROBOT_DATA
+    mimic_robots           URDF with mimic joints, against MuJoCo; ROBOTIQ_85, EXAMPLE_ROBOT_DATA
     mujoco_models          MJCF, against MuJoCo; MUJOCO_MODELS
     wing_body              a Nastran model, against Simcenter Nastran and MYSTRAN; nastran_decks: all others; PYNASTRAN_MODELS
     iea_blade              windIO, against BeamDyn and ElastoDyn; IEA15_RWT

@@ -19,6 +19,7 @@ import importlib
 import importlib.util
 import re
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,18 @@ def compared(path: Path, seed: int = 1) -> Compared:
     motion = mbd.simulate(system, STEP, steps=1, gradients="none", backend="eager")
     program.mj_forward(theirs, data)
     program.mj_rnePostConstraint(theirs, data)
+    turning, moving = apart(program, theirs, data, system, motion, robot.gravity)
+    stops = sum(joint.limits is not None for joint in joints)
+    return Compared(len(rates), stops, turning, moving)
+
+
+def apart(
+    program: Any, theirs: Any, data: Any, system: mbd.System, motion: Any, gravity: Sequence[float]
+) -> tuple[float, float]:
+    """Largest differences of the bodies' rates of spin and of their accelerations at the start, over the largest of MuJoCo.
+
+    data has MuJoCo's accelerations (mj_rnePostConstraint).
+    """
     turning, moving, largest = 0.0, 0.0, [1.0, 1.0]
     # Links between the joints of one body, and bodies without a name, are not compared.
     bodies = {identifier(theirs.body(k).name): k for k in range(theirs.nbody) if theirs.body(k).name}
@@ -118,14 +131,13 @@ def compared(path: Path, seed: int = 1) -> Compared:
             continue
         number, acceleration = bodies[body.name], np.zeros(6)
         program.mj_objectAcceleration(theirs, data, program.mjtObj.mjOBJ_XBODY, number, acceleration, 0)
-        spin, place = data.xmat[number].reshape(3, 3).T @ acceleration[:3], acceleration[3:] + np.array(robot.gravity)
+        spin, place = data.xmat[number].reshape(3, 3).T @ acceleration[:3], acceleration[3:] + np.array(gravity)
         view = motion.body(body.name)
         ours = view.at((0.0, 0.0, 0.0)).acceleration[0, 0].numpy(), view.omega_rate[0, 0].numpy()
         moving = max(moving, float(np.abs(ours[0] - place).max()))
         turning = max(turning, float(np.abs(ours[1] - spin).max()))
         largest = [max(x, float(np.abs(y).max())) for x, y in zip(largest, (place, spin), strict=True)]
-    stops = sum(joint.limits is not None for joint in joints)
-    return Compared(len(rates), stops, turning / largest[1], moving / largest[0])
+    return turning / largest[1], moving / largest[0]
 
 
 def main() -> None:
