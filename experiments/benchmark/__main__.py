@@ -20,6 +20,7 @@ Parts (default: all):
     mesh            motion stage on a fine mesh
     chain           cost per link of a flexible chain
     chains          chains of 5 to 50 links
+    couplings       cost of a coupling of two joints beside a revolute joint
     loops           twelve flexible bodies in closed loops, with springs and a controller
     beams           a slider-crank with a geometrically exact beam of 20 elements
     build           from an empty cache to native steps
@@ -62,6 +63,7 @@ from experiments.benchmark.beams import beams
 from experiments.benchmark.campbell import campbell
 from experiments.benchmark.chosen_steps import chosen_steps
 from experiments.benchmark.cores import cores
+from experiments.benchmark.couplings import couplings
 from experiments.benchmark.errors import errors
 from experiments.benchmark.evaluate import evaluate
 from experiments.benchmark.integrators import work_precision
@@ -95,6 +97,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "mesh": costs.mesh,
     "chain": costs.chain,
     "chains": chains.chains,
+    "couplings": couplings,
     "loops": chains.closed,
     "beams": beams,
     "build": chains.build,
@@ -152,6 +155,7 @@ FIGURES = (
     "chain_10",
     "chain_20",
     "chain_50",
+    "coupling_ratio",
     "closed_loops",
     "beam_values_x1",
     "beam_values_x32",
