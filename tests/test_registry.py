@@ -42,7 +42,7 @@ def test_a_name_of_a_missing_extension_tells_which(tables):
         mbd.read_robot  # noqa: B018
     assert "read_robot" not in mbd.__all__
     assert "wear" not in registry.Registry("of_design", {"mass": mbd.Mass})
-    with pytest.raises(InputError, match=r"wear : the extension robots_of_others is not installed$"):
+    with pytest.raises(InputError, match=r"wear: the extension robots_of_others is not installed$"):
         measure_of({"wear": {"body": "pin"}})
 
 

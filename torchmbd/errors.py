@@ -29,14 +29,94 @@ class MbdError(Exception):
     """
 
 
+Path = tuple[str | int, ...]  # keys to an argument: ("design", "rod.laminate.angles", "upper")
+_ABSENT: Any = object()
+
+
 class InputError(MbdError, ValueError):
-    """An argument is wrong. The message names the argument, the value and what is allowed.
+    """An argument is wrong: the error has it, its value and what is allowed as fields, and writes them as a sentence.
+
+    path     the keys to the argument, the last of which is its name: ("design", "rod.laminate.angles", "upper")
+    value    its value
+    allowed  the values that are allowed, "a positive number"; or the names of which the value must be one
+    rule     the sentence about what must be: "must lie between 0 and 1"
+    hint     the remedy, which the message adds after "Try: "
+
+    An error that was made of a sentence alone has an empty path, and its value is None.
 
     >>> mbd.examples.pendulum().body("bop")
     Traceback (most recent call last):
         ...
     torchmbd.errors.InputError: body 'bop' does not exist; allowed: bob; did you mean 'bob'?
+    >>> try:
+    ...     mbd.simulate(mbd.examples.pendulum(), duration=-1.0)
+    ... except mbd.InputError as error:
+    ...     print(error.argument, error.value, "|", error)
+    duration -1.0 | duration is -1.0 s; allowed: a positive number
     """
+
+    def __init__(
+        self,
+        argument: str | Path,
+        value: Any = _ABSENT,
+        allowed: str | Iterable[object] = "",
+        hint: str = "",
+        *,
+        rule: str = "",
+        noun: str = "",
+        shown: str | None = None,
+    ):
+        """Make the error of an argument, or of a sentence alone.
+
+        argument  its name or the keys to it; a whole sentence where nothing else is given
+        rule      a sentence in place of `allowed`
+        noun      the words for the argument in the message; default: its keys, with points between them
+        shown     the value in the message, with its unit; default: its repr; "": the rule says it
+        """
+        self.value = None if value is _ABSENT else value
+        self.allowed = allowed if isinstance(allowed, str) else tuple(map(str, allowed))
+        self.rule, self.hint = rule, hint
+        self._is_sentence = value is _ABSENT and not allowed and not rule
+        self.path: Path = () if self._is_sentence else (argument,) if isinstance(argument, str) else tuple(argument)
+        self._noun = str(argument) if self._is_sentence else noun
+        self._shown = shown if shown is not None else "" if value is _ABSENT else repr(value)
+        self._has_value = value is not _ABSENT
+        super().__init__(str(self))
+
+    @property
+    def argument(self) -> str:
+        """The path, with points between its keys; "" if the error has none."""
+        return dotted(self.path)
+
+    @property
+    def reason(self) -> str:
+        """The message as it follows the argument's key in a file: "= -1.0 s; allowed: a positive number"."""
+        if self._is_sentence or not (self.rule or isinstance(self.allowed, str)):
+            return f": {self}"
+        if self._has_value and not self._shown:
+            return f"= {_brief(self.value)}: {self.predicate()}"
+        return self.predicate("=")
+
+    def predicate(self, verb: str = "is") -> str:
+        """The message without its subject; `verb`: before a value that stands beside values that are allowed."""
+        remedy = f". Try: {self.hint}" if self.hint else ""
+        if self.rule:
+            value = f"= {self._shown}: " if self._shown else ""
+            return f"{value}{self.rule}{remedy}"
+        if isinstance(self.allowed, str):
+            return f"{verb} {self._shown}; allowed: {self.allowed}{remedy}"
+        return f"{self._shown} does not exist{nearest(self.value, self.allowed)}{remedy}"
+
+    def __str__(self) -> str:
+        if self._is_sentence:
+            return self._noun
+        predicate = self.predicate()
+        return f"{self._noun or self.argument}{'' if predicate.startswith(':') else ' '}{predicate}"
+
+
+def dotted(path: Path) -> str:
+    """Write a path as an experiment file's overrides do: `subject_to.0.at_most`."""
+    return ".".join(map(str, path))
 
 
 class ArgumentError(InputError, TypeError):
@@ -98,9 +178,9 @@ def one_of(kind: str, name: object, allowed: Iterable[object]) -> str:
     return name
 
 
-def unknown(kind: str, name: object, allowed: Iterable[object]) -> InputError:
-    """Build the error for a name that does not exist, with the nearest that does."""
-    return InputError(f"{kind} {name!r} does not exist{nearest(name, allowed)}")
+def unknown(kind: str, name: object, allowed: Iterable[object], path: Path = ()) -> InputError:
+    """Build the error for a name that does not exist, with the nearest that does; `path`: default is the kind itself."""
+    return InputError(path or kind, name, list(allowed), noun=kind)
 
 
 def true_or_false(name: str, value: Any) -> bool:

@@ -71,7 +71,7 @@ MISTAKES = [
     (
         DESIGN,
         "lower: -90, upper: 90, unit: rad",
-        ["lower = -90.0 with unit: rad", "allowed: -2 pi to 2 pi, or unit: deg"],
+        ["lower = -90.0 with unit: rad", "must lie in the range -2 pi to 2 pi. Try: unit: deg"],
     ),
     (DESIGN, "lower: -90, upper: 90, unit: mm", ["unit = 'mm'", "allowed for rod.laminate.angles: deg, rad"]),
     (DESIGN, "lower: -90, upper: 90, unit: deg, step: -5", ["step = -5", "must not be negative"]),
@@ -133,7 +133,7 @@ MISTAKES = [
     (
         "max_iterations: 2",
         "max_iteration: 2",
-        ["optimizer.max_iteration", "(it is 2)", "did you mean 'max_iterations'?"],
+        ["optimizer.max_iteration = 2", "did you mean 'max_iterations'?"],
     ),
     ("max_iterations: 2", "max_lanes: many", ["optimizer.max_lanes = 'many'", "must be an integer"]),
     ("sampler: sobol", "sampler: sobel", ["starts.sampler = 'sobel'", "did you mean 'sobol'"]),
@@ -165,7 +165,7 @@ MISTAKES = [
     (
         "minimize: " + ENERGY,
         "maximize: " + TWO,
-        ["maximize is AtTimes", "of 2 rows", "allowed: a measure of one number"],
+        ["maximize = AtTimes", "of 2 rows", "allowed: a measure of one number"],
     ),
     ("minimize: " + ENERGY, "tradeoff: {a: {mass: rod}}", ["tradeoff has 1 keys", "must have 2 or more"]),
     ("minimize: " + ENERGY, f"tradeoff: {{a: {{mass: rod}}, b: {TWO}}}", ["tradeoff.b", "has 2 rows", "allowed: "]),

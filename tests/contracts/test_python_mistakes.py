@@ -199,7 +199,7 @@ MISTAKES = {
     "strict lower limit": (lambda: any_.Max(ENERGY) > 0.1, "> 0.1", "<=, >="),
     "optimizer": (lambda: mbd.optimize(BOX, "mmdf"), "method 'mmdf'", "did you mean 'mmfd'"),
     "its option": (lambda: mbd.optimize(BOX, "mmfd", kktt=1e-3), "'kktt'", "did you mean 'kkt'"),
-    "max_iteration": (lambda: mbd.optimize(BOX, max_iteration=3), "(it is 3)", "did you mean 'max_iterations'"),
+    "max_iteration": (lambda: mbd.optimize(BOX, max_iteration=3), "max_iteration = 3", "did you mean 'max_iterations'"),
     "max_iterations": (lambda: mbd.optimize(BOX, max_iterations=-1), "max_iterations = -1", "[0, 1e+06]"),
     "outside": (lambda: any_.optimize(BOX, start=[5.0]), "start of x = 5", "must lie between -1 and 1"),
     "problem": (lambda: any_.optimize(3), "problem is 3", "mbd.Problem(...)"),

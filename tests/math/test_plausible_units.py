@@ -50,15 +50,20 @@ REFUSED = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_degrees_are_refused(name):
-    with pytest.raises(mbd.InputError, match=r"angles.*\[\d\] = -?[49][50]\.0 rad \(degrees\? use mbd\.deg\); allowed"):
+    with pytest.raises(mbd.InputError) as error:
         REFUSED[name]()
+    *path, entry = error.value.path
+    assert path[-1].endswith("angles")
+    assert abs(error.value.value) in (45.0, 90.0)
+    assert entry in (0, 1)
+    assert error.value.hint.startswith("mbd.deg(")
 
 
 @pytest.mark.thorough
 def test_an_optimizer_in_degrees_gets_a_warning_and_goes_on():
     """A status, not an exception: a line search without bounds may go anywhere."""
     result = problem().evaluate(np.array([[45.0, -45.0], [0.3, -0.2]]), False)
-    assert "degrees?" in result[0].status
+    assert "mbd.deg" in result[0].status
     assert result[1].ok
 
 

@@ -98,7 +98,7 @@ def test_scenarios_of_a_file_are_those_of_python(write):
     assert loaded.evaluate(loaded.start[None], False)[0].status == "ok"
     for wrong, words in (
         ({"combine": {"objective": "mean"}}, "without scenarios"),
-        ({"scenarios": [{"set": {"rod.laminate.thickness": -1e-3}}]}, "= -0.001: allowed: positive numbers"),
+        ({"scenarios": [{"set": {"rod.laminate.thickness": -1e-3}}]}, "= -0.001; allowed: positive numbers"),
         ({"scenarios": [{"set": {"rod.laminate.thicknes": 1.0}}]}, "rod.laminate.thickness"),
         ({"scenarios": cases, "combine": {"objective": "all"}}, "worst, mean"),
         ({"scenarios": [copy.deepcopy(cases[0]), cases[0]]}, "each name once"),
@@ -254,7 +254,7 @@ def test_degrees_that_are_said_to_be_radians_are_named(write, unit):
     assert {fault.path[-1] for fault in result} == {"start", "lower", "upper"}
     for fault in result:
         assert f"with unit: {unit}" in fault.text
-        assert "rad (degrees? use mbd.deg); allowed: -2 pi to 2 pi" in fault.text
+        assert "must lie in the range -2 pi to 2 pi. Try: unit: deg" in fault.text
 
 
 def test_millimeters_that_are_said_to_be_meters_are_doubted(write):

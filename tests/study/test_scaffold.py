@@ -88,5 +88,5 @@ def test_nothing_is_overwritten(folder):
 def test_a_model_that_cannot_be_named_so_is_refused_with_what_can(folder):
     with pytest.raises(InputError, match=r"^model = 'rod_model': allowed: package\.module:function or path"):
         write_experiment(folder / "other.yaml", "rod_model")
-    with pytest.raises(InputError, match=r"^model module 'nothing' cannot be imported"):
+    with pytest.raises(InputError, match=r"^model: module 'nothing' cannot be imported"):
         write_experiment(folder / "other.yaml", "nothing:build")

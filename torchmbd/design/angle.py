@@ -67,7 +67,7 @@ class Angle(History):
             raise InputError(f"angle of {self.body!r} seen from itself is zero; allowed: another body, or 'ground'")
         scalar("center of an angle", self.center, "a finite number [rad]")
         if not isinstance(self.wrapped, bool):
-            raise InputError(f"wrapped is {self.wrapped!r}; allowed: True or False")
+            raise InputError("wrapped", self.wrapped, "True or False")
 
     def values(self, motion: Trajectory) -> Tensor:
         angle, rate = self.wrapped_jet(motion)

@@ -52,7 +52,7 @@ class AtTimes(OfHistory):
         if self.window is not None:
             raise InputError("times and window are both given; allowed: one of them")
         if not len(self.times) or not all(0.0 <= float(t) < float("inf") for t in self.times):
-            raise InputError(f"times is {self.times!r}; allowed: at least one time, zero or positive [s]")
+            raise InputError("times", self.times, "at least one time, zero or positive [s]")
 
     @property
     def rows(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -104,4 +104,4 @@ class AtPeaks(OfHistory):
 
 def _check_count(count: object, least: int) -> None:
     if isinstance(count, bool) or not isinstance(count, int) or count < least:
-        raise InputError(f"count is {count!r}; allowed: an integer, at least {least}")
+        raise InputError("count", count, f"an integer, at least {least}")

@@ -60,7 +60,7 @@ def _steps(step: Any, n: int, lanes: int | None = None) -> np.ndarray:
     if h.shape not in ((), (n,), (lanes, n)):
         raise InputError(f"step has shape {h.shape}; allowed: a number, or {n} numbers")
     if not ((h > 0) & np.isfinite(h)).all():
-        raise InputError(f"step is {step!r}; allowed: positive numbers")
+        raise InputError("step", step, "positive numbers")
     return h
 
 

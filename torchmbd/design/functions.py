@@ -74,13 +74,13 @@ def _name(function: Callable[..., Any]) -> str:
 
 def _callable(function: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
     if not callable(function) or isinstance(function, (History, Measure)):
-        raise InputError(f"function is {function!r}; allowed: a function of a motion")
+        raise InputError("function", function, "a function of a motion")
     return function
 
 
 def _unit(unit: str | None) -> str | None:
     if unit is not None and not isinstance(unit, str):
-        raise InputError(f"unit is {unit!r}; allowed: the name of an SI unit, such as 'N'")
+        raise InputError("unit", unit, "the name of an SI unit, such as 'N'")
     return unit
 
 

@@ -319,7 +319,7 @@ def unit_vector(axis: Direction) -> Tensor:
     except (TypeError, ValueError):
         vector = torch.zeros(0, dtype=torch.float64)
     if vector.shape != (3,) or not 0.0 < float(vector.norm()) < float("inf"):
-        raise InputError(f"axis is {axis!r}; allowed: 'x', 'y', 'z', or a direction of three numbers")
+        raise InputError("axis", axis, "'x', 'y', 'z', or a direction of three numbers")
     return vector / vector.norm()
 
 

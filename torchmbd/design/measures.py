@@ -95,7 +95,7 @@ def _require_history(measure: Measure, history: object) -> None:
 def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
     """A history of a motion as a curve; `motion.known` keeps it for other measures of the same evaluation."""
     if not isinstance(motion, Trajectory):
-        raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
+        raise InputError("motion", motion, "a motion, as mbd.simulate(...) makes it")
     known = motion.known
     try:
         if known is not None and (history, window) in known:
@@ -227,7 +227,7 @@ class AtTime(Measure):
     def __post_init__(self) -> None:
         _require_history(self, self.history)
         if scalar("time", self.time, "zero or positive [s]") < 0.0:
-            raise InputError(f"time is {self.time!r}; allowed: zero or positive [s]")
+            raise InputError("time", self.time, "zero or positive [s]")
 
     def check(self, system: System) -> None:
         self.history.check(system)
@@ -320,7 +320,7 @@ def _check_number(system: System, body: str, number: int, supports: Supports | N
     modes = flexible_body(system, body).mode_counts[0] if supports is None else 1
     if not is_whole(number) or number < 1 or (supports is None and number > modes):
         allowed = f"1 to {modes}, the modes that every design of {body!r} retains" if supports is None else "1, 2, ..."
-        raise InputError(f"number is {number!r}; allowed: {allowed}")
+        raise InputError("number", number, allowed)
     if supports is not None:
         check_supports(system, body, supports, number)
 
@@ -355,9 +355,9 @@ class Frequencies(Measure):
         if isinstance(numbers, (list, tuple)):
             object.__setattr__(self, "cluster", tuple(numbers))
         if not isinstance(numbers, (list, tuple)) or not numbers or len(set(numbers)) < len(numbers):
-            raise InputError(f"cluster is {numbers!r}; allowed: numbers of modes, each once, such as (2, 3)")
+            raise InputError("cluster", numbers, "numbers of modes, each once, such as (2, 3)")
         if scalar("power", self.power, "a finite number but 0") == 0.0:
-            raise InputError(f"power is {self.power!r}; allowed: a finite number but 0")
+            raise InputError("power", self.power, "a finite number but 0")
 
     def check(self, system: System) -> None:
         for number in self.cluster:

@@ -124,7 +124,7 @@ class PlyStress(History):
         require_plies(body)
         layers = min(len(part.laminate.layer_plies) for part in body.plates.values())
         if self.layer is not None and not (is_whole(self.layer) and 0 <= self.layer < layers):
-            raise InputError(f"layer is {self.layer!r}; allowed: 0 to {layers - 1}, or None for all")
+            raise InputError("layer", self.layer, f"0 to {layers - 1}, or None for all")
 
     def values(self, motion: Trajectory) -> Tensor:
         plies, component = PlyHistory(motion, self.body), PLY_COMPONENTS.index(self.component)

@@ -142,7 +142,7 @@ class Problem(Summary):
             require_duration(measure, duration)
         is_pair = isinstance(bound, (tuple, list)) and len(bound) == 2 and all(map(is_real, bound))
         if not is_pair or not 0.0 < bound[0] <= bound[1]:
-            raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
+            raise InputError("bound", bound, "(start, upper) with 0 < start <= upper")
         self.system, self.duration, self.objective = system, float(duration), minimize
         self.constraints = subject_to
         self.tolerance, self.chooses_steps = problem_steps.checked_tolerance(tolerance), steps is None

@@ -43,21 +43,25 @@ def constraints_of(subject_to: Any) -> list[Constraint]:
 def stated_objective(minimize: Any, maximize: Any) -> tuple[Measure, float]:
     """The measure that is minimized or maximized, and its sign in the minimization: 1, or -1 for `maximize`."""
     if minimize is not None and maximize is not None:
-        raise InputError(f"minimize is {minimize!r} and maximize is {maximize!r}; allowed: one of them")
+        raise InputError("minimize", minimize, "one of them", shown=f"{minimize!r} and maximize is {maximize!r}")
     if minimize is None and maximize is None:
-        raise InputError("'minimize' of Problem is missing; allowed: a measure, here or as 'maximize'")
+        rule = "is missing; allowed: a measure, here or as 'maximize'"
+        raise InputError("minimize", rule=rule, noun="'minimize' of Problem")
     name, measure = ("minimize", minimize) if maximize is None else ("maximize", maximize)
     if not isinstance(measure, Measure):
-        raise InputError(f"{name} is {measure!r}; allowed: a measure, such as Integral(StrainEnergy('rod'))")
+        raise InputError(name, measure, "a measure, such as Integral(StrainEnergy('rod'))")
     if maximize is not None and measure.rows > 1:
-        raise InputError(f"maximize is {measure!r}, of {measure.rows} rows; allowed: a measure of one number")
+        shown = f"{measure!r}, of {measure.rows} rows"
+        raise InputError("maximize", measure, "a measure of one number", shown=shown)
     return measure, 1.0 if maximize is None else -1.0
 
 
 def require_duration(measure: Measure, duration: float) -> None:
     """InputError for a measure that looks at times beyond the simulated one [s]."""
     if measure.until > duration * (1.0 + 1e-9):  # of rounding
-        raise InputError(f"{measure!r} looks at t = {measure.until:g} s; allowed: up to duration={duration:g} s")
+        rule = f"looks at t = {measure.until:g} s; allowed: up to duration={duration:g} s"
+        argument = next((name for name in ("time", "times") if hasattr(measure, name)), "window")
+        raise InputError(argument, measure.until, rule=rule, noun=repr(measure), shown="")
 
 
 def limits_of(constraint: Constraint, initial: np.ndarray) -> np.ndarray:

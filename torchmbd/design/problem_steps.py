@@ -81,7 +81,7 @@ def checked_tolerance(tolerance: Any) -> float | None:
     """A tolerance of the errors by steps, or None; InputError for others than numbers above 0 and below 1."""
     if tolerance is None or (is_real(tolerance) and 0.0 < tolerance < 1.0):
         return None if tolerance is None else float(tolerance)
-    raise InputError(f"tolerance is {tolerance!r}; allowed: a number above 0 and below 1, or None")
+    raise InputError("tolerance", tolerance, "a number above 0 and below 1, or None")
 
 
 def problem_steps(problem: Any) -> int | None:

@@ -34,7 +34,7 @@ from torchmbd.design.functions import FunctionHistory, FunctionMeasure
 from torchmbd.design.response import History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.weighted import WeightedSum
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError, Path, nearest
 from torchmbd.math.checked_numbers import is_real
 
 SUM, FUNCTION, SCALED, AGGREGATE = "weighted_sum", "function", "scaled", "aggregate"
@@ -43,16 +43,14 @@ SINGLE: dict[str, Callable[[Any], Any]] = {"absolute": abs, "squared": lambda y:
 OPERATIONS = (*SEVERAL, *SINGLE, SCALED)
 MEASURES = (*COMBINATORS, *OF_DESIGN, SUM, AGGREGATE, *OPERATIONS, FUNCTION)
 HISTORIES = (*RESPONSES, *OPERATIONS, FUNCTION)
-Path = tuple[str | int, ...]
 Find = Callable[[str], Any]  # returns the function of a name such as `package.module:name`
 
 
 class SpecError(InputError):
-    """A response that cannot be read: `path` is the keys to the wrong entry, `text` the reason."""
+    """A response that cannot be read: `path` is the keys to the wrong entry, `rule` the reason."""
 
     def __init__(self, path: Path, text: str):
-        self.path, self.text = path, text
-        super().__init__(f"{'.'.join(map(str, path)) or 'response'} {text}")
+        super().__init__(path, rule=text, noun="" if path else "response")
 
 
 def measure_of(spec: Any, path: Path = (), find: Find | None = None) -> Measure:
@@ -168,7 +166,7 @@ def _function(spec: Any, options: Mapping[str, Any], path: Path, find: Find | No
     try:
         function = find(spec)
     except InputError as error:
-        raise SpecError(entry, str(error)) from error
+        raise SpecError(entry, error.reason) from error
     noun = kind.__name__.lower()
     if not inspect.isfunction(function):
         if not isinstance(function, kind) or options:
@@ -260,6 +258,8 @@ def _built(kind: type, first: tuple, options: Mapping[str, Any], path: Path) -> 
     try:
         return kind(*first, **options)
     except InputError as error:
+        if error.path[:1] and error.path[0] in options:
+            raise SpecError((*path, error.path[0]), error.reason) from error
         raise SpecError(path, f": {error}") from error
     except (TypeError, ValueError) as error:
         raise SpecError(path, f"= {dict(options)!r}: {error}") from error

@@ -12,13 +12,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError, Path, nearest
 from torchmbd.integrate.arguments import of_allowed_sign
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.multibody.system import System
 
 SYSTEM = "system"  # key of a scenario
+_PARAMETER = "mbd.variable(...), which makes a parameter of a plain number of a constructor"
 
 
 def scenarios_by_name(scenarios: Any) -> Any:
@@ -38,50 +39,55 @@ def normalized_weights(weights: Any, count: int) -> np.ndarray:
         or not all(map(is_real, weights))
         or min(weights) < 0
     ):
-        raise InputError(
-            f"weights is {weights!r}; allowed: {count} numbers that are not negative, one for each scenario"
-        )
+        raise InputError("weights", weights, f"{count} numbers that are not negative, one for each scenario")
     if not sum(weights) > 0.0:
-        raise InputError("weights of scenarios are all 0; allowed: one at least that is positive")
+        rule = "are all 0; allowed: one at least that is positive"
+        raise InputError("weights", weights, rule=rule, noun="weights of scenarios", shown="")
     return np.asarray(weights, dtype=float) / float(sum(weights))
 
 
 def settings_of(
-    system: System, variables: Sequence[str], scenario: str, settings: Mapping[str, Any]
+    system: System, variables: Sequence[str], place: str, settings: Mapping[str, Any], path: Path = ()
 ) -> dict[str, Tensor]:
-    """The values of the parameters of a system that a scenario sets; InputError for one that it cannot set, or cannot have.
+    """The values that settings give to parameters of a system; InputError for one that cannot be set, or cannot have its value.
 
-    variables  names of the design variables, which no scenario sets
+    variables  names of the design variables, which cannot be set
+    place      words for the settings in messages: "in scenario 'heavy'"
+    path       the keys to the settings
     """
     parameters, values = dict(system.named_parameters()), {}
     for name, setting in settings.items():
         if name == SYSTEM:
             continue
         if name not in parameters:
-            hint = "a plain number of a constructor becomes a parameter by mbd.variable(...)"
-            raise InputError(f"parameter of a scenario {name!r} does not exist{nearest(name, parameters)}; {hint}")
+            rule = f"does not exist{nearest(name, parameters)}"
+            noun = f"parameter {name!r} {place}"
+            raise InputError((*path, name), setting, hint=_PARAMETER, rule=rule, noun=noun, shown="")
+        noun = f"{name} {place}"
         if name in variables:
-            raise InputError(f"scenarios set {name!r}, a design variable; allowed: parameters that are none")
-        value = _value(f"{name} in scenario {scenario!r}", setting, parameters[name].detach())
+            rule = "is a design variable; allowed: parameters that are none"
+            raise InputError((*path, name), setting, rule=rule, noun=noun, shown="")
+        value = _value((*path, name), noun, setting, parameters[name].detach())
         good, allowed = of_allowed_sign(system, name, value)
         if not good.all():
-            raise InputError(f"{name} in scenario {scenario!r} is {setting!r}; allowed: {allowed}")
-        check_parameter(f"scenario {scenario!r} sets", name, value)
+            raise InputError((*path, name), setting, allowed, noun=noun)
+        check_parameter(f"{place}:", name, value, (*path, name))
         values[name] = value
     return values
 
 
-def _value(what: str, setting: Any, default: Tensor) -> Tensor:
-    """The value of a parameter, in the shape of its `default`."""
+def _value(path: Path, noun: str, setting: Any, default: Tensor) -> Tensor:
+    """The value of a parameter, in the shape of its `default`; `path`, `noun`: its keys, and the words for it."""
     try:
         value = torch.as_tensor(setting, dtype=default.dtype)
     except (TypeError, ValueError, RuntimeError):
         value = torch.full_like(default, torch.nan)
     if value.dim() == 1 and value.shape != default.shape:
-        raise InputError(f"{what} has {len(value)} values; allowed: {default.numel()}, or one number for all")
+        rule = f"has {len(value)} values; allowed: {default.numel()}, or one number for all"
+        raise InputError(path, setting, rule=rule, noun=noun, shown="")
     if value.shape not in (default.shape, torch.Size([])) or not torch.isfinite(value).all():
         allowed = f"finite numbers of shape {list(default.shape)}, or one for all"
-        raise InputError(f"{what} is {setting!r}; allowed: {allowed}")
+        raise InputError(path, setting, allowed, noun=noun)
     return value.detach().expand(default.shape)
 
 

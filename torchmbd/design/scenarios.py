@@ -100,17 +100,16 @@ class Scenarios(Problem):
         super().__init__(system, duration, minimize, subject_to, **options)
         for name, rule, allowed in (("objective", objective, OBJECTIVES), ("constraints", constraints, CONSTRAINTS)):
             if rule not in allowed:
-                raise InputError(f"{name} is {rule!r}; allowed: {', '.join(allowed)}")
+                raise InputError(name, rule, ", ".join(allowed))
         if constraints != "each" and any(c.kind == "equal" for c in self.constraints):
-            raise InputError(f"constraints is {constraints!r}, and one is an equality; allowed: 'each'")
+            raise InputError("constraints", constraints, "'each'", shown=f"{constraints!r}, and one is an equality")
         if self.peaks and objective == "mean":
-            raise InputError(
-                f"minimize has {self.peaks} rows, and objective is 'mean'; allowed: a measure of one number"
-            )
+            rule = f"has {self.peaks} rows, and objective is 'mean'; allowed: a measure of one number"
+            raise InputError("minimize", minimize, rule=rule, shown="")
         if objective == "worst" and self.sign < 0.0:
-            raise InputError(
-                "maximize is given with objective 'worst'; allowed: objective='mean', or minimize the negative of the measure"
-            )
+            allowed = "objective='mean', or minimize the negative of the measure"
+            rule = f"is given with objective 'worst'; allowed: {allowed}"
+            raise InputError("maximize", options["maximize"], rule=rule, shown="")
         self.groups = self._grouped(scenarios)
         self.scenarios = {name: settings for group in self.groups for name, settings in group.settings.items()}
         self.scenarios = {str(name): self.scenarios[str(name)] for name in scenarios_by_name(scenarios)}
@@ -124,11 +123,10 @@ class Scenarios(Problem):
         scenarios = scenarios_by_name(scenarios)
         is_mapping = isinstance(scenarios, Mapping) and all(isinstance(x, Mapping) for x in scenarios.values())
         if not is_mapping or not scenarios:
-            raise InputError(f"scenarios is {scenarios!r}; allowed: name -> {{parameter: value}}, one at least")
+            raise InputError("scenarios", scenarios, "name -> {parameter: value}, one at least")
         if not any(scenarios.values()):
-            raise InputError(
-                f"scenarios is {scenarios!r}, and sets nothing; allowed: a parameter, or a system, at least"
-            )
+            shown = f"{scenarios!r}, and sets nothing"
+            raise InputError("scenarios", scenarios, "a parameter, or a system, at least", shown=shown)
         systems: list[System] = []
         for key, settings in scenarios.items():
             system = settings.get(SYSTEM, self.system)
@@ -140,22 +138,26 @@ class Scenarios(Problem):
     def _check_system(self, scenario: str, system: Any) -> None:
         """InputError unless the system of a scenario has the design variables, and what responses need."""
         if not isinstance(system, System):
-            raise InputError(f"system of scenario {scenario!r} is {system!r}; allowed: a System")
+            noun = f"system of scenario {scenario!r}"
+            raise InputError(("scenarios", scenario, SYSTEM), system, "a System", noun=noun)
         shapes = {name: x.shape for name, x in system.named_parameters()}
         for name, shape in self.space.shapes.items():
             if shapes.get(name) != shape:
                 has = "no such parameter" if name not in shapes else f"one of shape {list(shapes[name])}"
-                raise InputError(
-                    f"system of scenario {scenario!r} has {has}: {name!r}; allowed: all design variables, {name!r} of "
-                    f"shape {list(shape)}"
-                )
+                rule = f"has {has}: {name!r}; allowed: all design variables, {name!r} of shape {list(shape)}"
+                path, noun = ("scenarios", scenario, SYSTEM), f"system of scenario {scenario!r}"
+                raise InputError(path, system, rule=rule, noun=noun, shown="")
         for measure in (self.objective, *(constraint.measure for constraint in self.constraints)):
             measure.check(system)
+
+    def _settings(self, system: System, scenario: str, settings: Mapping[str, Any]) -> dict[str, Tensor]:
+        place, path = f"in scenario {scenario!r}", ("scenarios", scenario)
+        return settings_of(system, self.space.variables, place, settings, path)
 
     def _group(self, system: System, scenarios: Mapping[str, Mapping[str, Any]]) -> Group:
         """The scenarios of one system, all with values of the same parameters."""
         of_system = {key: x for key, x in scenarios.items() if x.get(SYSTEM, self.system) is system}
-        values = {str(k): settings_of(system, self.space.variables, str(k), x) for k, x in of_system.items()}
+        values = {str(k): self._settings(system, str(k), x) for k, x in of_system.items()}
         parameters = dict(system.named_parameters())
         names = list(dict.fromkeys(name for settings in values.values() for name in settings))
         default = {name: parameters[name].detach() for name in names}

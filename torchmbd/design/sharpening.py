@@ -71,7 +71,7 @@ def sharpen(
     True
     """
     if not isinstance(problem, Problem):
-        raise InputError(f"problem is {problem!r}; allowed: a Problem")
+        raise InputError("problem", problem, "a Problem")
     if not _aggregates(problem):
         raise InputError("problem has no Aggregate; allowed: one in the objective or in a constraint")
     require_range("tolerance", tolerance, 0.0, 1.0)

@@ -24,7 +24,7 @@ import torch
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, nearest, unknown
+from torchmbd.errors import InputError, Path, checked_signature, nearest, unknown
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
@@ -33,6 +33,7 @@ from torchmbd.optimization.optimizer import require_inside
 CONSTANT = "constant"  # key of a link's offset
 MOST_TURNS = 100  # of an entry within a common period
 ROUNDING = 1e-12  # of factors of links
+_NOUNS = {"lower": "lower bound", "upper": "upper bound"}  # words of messages
 
 
 class Links(NamedTuple):
@@ -71,7 +72,7 @@ class DesignSpace:
         links: Mapping[str, Mapping[str, float]] | None = None,
     ):
         if not isinstance(system, System):
-            raise InputError(f"system is {system!r}; allowed: a System")
+            raise InputError("system", system, "a System")
         self._span(dict(system.named_parameters()), variables, bounds, start, links, periods_of(system))
 
     @classmethod
@@ -98,9 +99,9 @@ class DesignSpace:
     ) -> None:
         for name in variables or ():
             if name not in parameters:
-                raise unknown("parameter", name, parameters)
+                raise unknown("parameter", name, parameters, ("variables", name))
         if variables and len(set(variables)) < len(variables):
-            raise InputError(f"variables is {list(variables)!r}; allowed: each parameter once")
+            raise InputError("variables", list(variables), "each parameter once")
         self.variables = list(variables) if variables else [name for name, x in parameters.items() if x.requires_grad]
         if not self.variables:
             raise InputError(
@@ -118,9 +119,9 @@ class DesignSpace:
         self.lower, self.upper = self._bounds(bounds)
         for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
             if not low <= high:
-                raise InputError(
-                    f"lower bound of {name} = {shown(name, low)}: must be below upper = {shown(name, high)}; allowed: equal"
-                )
+                rule = f"must be below upper = {shown(name, high)}; allowed: equal"
+                noun = f"{_NOUNS['lower']} of {name}"
+                raise InputError(("lower", name), low, rule=rule, noun=noun, shown=shown(name, low))
         self.start = self.point("start", start, values)
         #: How far each variable may move until all entries that follow it are the same again [n]; 0: never.
         of_entries = np.array([periods.get(_parameter(x), 0.0) for x in self.entries])
@@ -149,38 +150,42 @@ class DesignSpace:
 
     def _bounds(self, bounds: Any) -> tuple[np.ndarray, np.ndarray]:
         if not isinstance(bounds, Mapping):
-            lower, upper = _pair("bounds", bounds)
+            lower, upper = _pair(("bounds",), bounds)
         else:
-            pairs = {name: _pair(f"bounds of {name}", pair) for name, pair in bounds.items()}
+            pairs = {name: _pair(("bounds", name), pair) for name, pair in bounds.items()}
             lower, upper = ({name: pair[k] for name, pair in pairs.items()} for k in (0, 1))
         without = np.full(len(self.names), np.inf)
-        return self.vector("lower bound", lower, -without), self.vector("upper bound", upper, without)
+        return self.vector("lower", lower, -without), self.vector("upper", upper, without)
 
-    def vector(self, what: str, x: Any, default: np.ndarray) -> np.ndarray:
+    def vector(self, argument: str, x: Any, default: np.ndarray, noun: str = "") -> np.ndarray:
         """Numbers [n], one for each design variable, in the units of their parameters; InputError for what cannot be.
 
-        what     the noun of messages
-        x        a number for all, or one for each; or parameter name -> such numbers of its entries; None: `default`
-        default  numbers of parameters that a mapping does not name [n]
+        argument  its name, such as "start"; the paths of errors are this name, the parameter and the entry
+        noun      the words for it in messages
+        x         a number for all, or one for each; or parameter name -> such numbers of its entries; None: `default`
+        default   numbers of parameters that a mapping does not name [n]
         """
+        what = noun or _NOUNS.get(argument, argument)
         if x is not None and not isinstance(x, Mapping):
-            numbers = _numbers(what, x, len(self.names))
+            numbers = _numbers((argument,), what, x, len(self.names))
             x = {name: numbers[i] for name in self.variables if (i := self._indices(name))}
         result = np.array(default, dtype=float)
         for name, numbers in (x or {}).items():
             if name not in self.shapes:
-                raise unknown(f"{what} of parameter", name, self.shapes)
+                raise unknown(f"{what} of parameter", name, self.shapes, (argument, name))
             indices = self._indices(name)
             if not indices:
-                raise InputError(f"{what} of {name} is given, but every entry follows others; allowed: none")
-            result[indices] = _numbers(f"{what} of {name}", numbers, len(indices), self._free(indices))
-            check_parameter(f"{what} of", name, torch.from_numpy(result[indices]))
+                rule = "is given, but every entry follows others; allowed: none"
+                raise InputError((argument, name), numbers, rule=rule, noun=f"{what} of {name}", shown="")
+            path, words = (argument, name), f"{what} of {name}"
+            result[indices] = _numbers(path, words, numbers, len(indices), self._free(indices))
+            check_parameter(f"{what} of", name, torch.from_numpy(result[indices]), path)
         return result
 
-    def point(self, what: str, x: Any, default: np.ndarray) -> np.ndarray:
+    def point(self, argument: str, x: Any, default: np.ndarray) -> np.ndarray:
         """A design [n] within the bounds; arguments as of `vector`."""
-        result = self.vector(what, x, default)
-        require_inside(what, self.names, self.lower, result, self.upper, shown)
+        result = self.vector(argument, x, default)
+        require_inside(argument, self.names, self.lower, result, self.upper, shown)
         return result
 
     def designs(self, X: np.ndarray | Tensor) -> dict[str, Tensor]:
@@ -200,26 +205,28 @@ class DesignSpace:
 def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tuple[Links, np.ndarray]:
     """The numbers of the map from the free entries to all entries, and the offset [entries]."""
     if not isinstance(links, Mapping):
-        raise InputError(f"links is {links!r}; allowed: entry -> {{entry: factor, ...}}")
+        raise InputError("links", links, "entry -> {entry: factor, ...}")
     free = {entry: k for k, entry in enumerate(entry for entry in entries if entry not in links)}
     known = set(entries)
     for linked, terms in links.items():
         if linked not in known:
-            raise InputError(f"links: {linked} is no entry of a design variable{nearest(linked, entries)}")
+            rule = f"{linked} is no entry of a design variable{nearest(linked, entries)}"
+            raise InputError(("links", linked), terms, rule=rule, noun="links:", shown="")
         if not isinstance(terms, Mapping):
-            raise InputError(f"link of {linked!r} is {terms!r}; allowed: a mapping {{entry: factor}}")
+            raise InputError(("links", linked), terms, "a mapping {entry: factor}", noun=f"link of {linked!r}")
         for source in terms:
             if source not in free and source != CONSTANT:
-                leaders = nearest(source, [*free, CONSTANT])
-                raise InputError(f"link of {linked}: {source} is no entry that follows none itself{leaders}")
+                rule = f"{source} is no entry that follows none itself{nearest(source, [*free, CONSTANT])}"
+                noun = f"link of {linked}:"
+                raise InputError(("links", linked, source), terms[source], rule=rule, noun=noun, shown="")
     if not free:
-        raise InputError("links leave no entry free; allowed: one at least")
+        raise InputError("links", rule="leave no entry free; allowed: one at least")
     numbers: list[tuple[int, int, float]] = []
     offset = np.zeros(len(entries))
     for row, entry in enumerate(entries):
         if entry in links:
             for source, factor in links[entry].items():
-                value = float(_numbers(f"link of {entry}", factor, 1)[0])
+                value = float(_numbers(("links", entry, source), f"link of {entry}", factor, 1)[0])
                 if source == CONSTANT:
                     offset[row] = value
                 else:
@@ -267,22 +274,26 @@ def _parameter(entry: str) -> str:
     return entry.rpartition("[")[0]
 
 
-def _pair(what: str, x: Any) -> Any:
+def _pair(path: Path, x: Any) -> Any:
     if not isinstance(x, Sized) or len(x) != 2:
-        raise InputError(f"{what} is {x!r}; allowed: two entries, (lower, upper)")
+        raise InputError(path, x, "two entries, (lower, upper)", noun=" of ".join(map(str, path)))
     return x
 
 
-def _numbers(what: str, x: Any, size: int, which: str = "") -> np.ndarray:
-    """Numbers [size] from one for all entries, or one for each; InputError for other values."""
+def _numbers(path: Path, noun: str, x: Any, size: int, which: str = "") -> np.ndarray:
+    """Numbers [size] from one for all entries, or one for each; InputError for other values.
+
+    path, noun  the keys to the numbers, and the words for them in messages
+    """
     try:
         numbers = [float(y) for y in x] if isinstance(x, (tuple, list)) else x
         values = np.asarray(numbers.detach().numpy() if isinstance(numbers, Tensor) else numbers, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{what} is {x!r}; allowed: numbers") from error
+        raise InputError(path, x, "numbers", noun=noun) from error
     if values.ndim > 1 or (values.ndim == 1 and len(values) != size):
         count = len(values) if values.ndim == 1 else f"the shape {values.shape} of"
-        raise InputError(f"{what} has {count} values; allowed: {size}{which}, or one number for all")
+        rule = f"has {count} values; allowed: {size}{which}, or one number for all"
+        raise InputError(path, x, rule=rule, noun=noun, shown="")
     if np.isnan(values).any():
-        raise InputError(f"{what} is {x!r}; allowed: numbers")
+        raise InputError(path, x, "numbers", noun=noun)
     return np.broadcast_to(values, (size,)).copy()

@@ -336,9 +336,9 @@ def checked_window(window: tuple[float, float]) -> tuple[float, float]:
     try:
         first, last = (float(x) for x in window)
     except (TypeError, ValueError) as error:
-        raise InputError(f"window is {window!r}; allowed: two times (t0, t1) [s]") from error
+        raise InputError("window", window, "two times (t0, t1) [s]") from error
     if not 0.0 <= first < last < float("inf"):
-        raise InputError(f"window is {window!r}; allowed: 0 <= t0 < t1 [s]")
+        raise InputError("window", window, "0 <= t0 < t1 [s]")
     return first, last
 
 

@@ -60,13 +60,14 @@ class Tradeoff:
         **options: Any,
     ):
         if not isinstance(minimize, Mapping):
-            raise InputError(f"minimize is {minimize!r}; allowed: name -> measure, such as {{'energy': Integral(...)}}")
+            raise InputError("minimize", minimize, "name -> measure, such as {'energy': Integral(...)}")
         self.criteria = list(minimize)
         if len(self.criteria) < 2:
             raise InputError(f"minimize has {self.criteria}; allowed: two criteria at least; for one, use Problem")
         for name, measure in minimize.items():
             if getattr(measure, "rows", 1) > 1:
-                raise InputError(f"criterion {name!r} has {measure.rows} rows; allowed: responses of one number")
+                rule, noun = f"has {measure.rows} rows; allowed: responses of one number", f"criterion {name!r}"
+                raise InputError(("minimize", name), measure, rule=rule, noun=noun, shown="")
         require_scalar_measures(minimize.values(), "tradeoff")
         first, *others = minimize.values()
         # All criteria but the first are constraints of the problem, with limit 0 and scale 1: their rows are the criteria.

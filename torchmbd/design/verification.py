@@ -60,7 +60,7 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
     (True, 'minimize')
     """
     if not isinstance(result, (OptimizationResult, MultistartResult)):
-        raise InputError(f"result is {result!r}; allowed: the result of mbd.optimize or mbd.multistart")
+        raise InputError("result", result, "the result of mbd.optimize or mbd.multistart")
     best, feasibility, others = result, FEASIBILITY, []
     if isinstance(result, MultistartResult):
         best, feasibility, others = result.best, result.feasibility, other_ends(result)

@@ -42,13 +42,13 @@ class WeightedSum(Total):
             or not self.terms
             or any(not isinstance(term, (tuple, list)) or len(term) != 2 for term in self.terms)
         ):
-            raise InputError(f"terms is {self.terms!r}; allowed: pairs (weight, measure), at least one")
+            raise InputError("terms", self.terms, "pairs (weight, measure), at least one")
         super().__post_init__()
         scales = self.normalize
         if scales is None or scales == "initial":
             return
         if isinstance(scales, str) or len(scales) != len(self.terms) or not all(float(s) > 0.0 for s in scales):
-            raise InputError(f"normalize is {scales!r}; allowed: 'initial', None, or a positive number for each term")
+            raise InputError("normalize", scales, "'initial', None, or a positive number for each term")
 
     @property
     def refers_to_start(self) -> bool:

@@ -49,7 +49,7 @@ def read_beamdyn(path: str | Path) -> SectionTable:
 def _stations(path: str | Path) -> list[np.ndarray]:
     """Read position, stiffness and mass of each station: 73 numbers."""
     if not isinstance(path, (str, Path)) or not Path(path).is_file():
-        raise InputError(f"path is {str(path)!r}; allowed: a BeamDyn blade file that exists")
+        raise InputError("path", str(path), "a BeamDyn blade file that exists")
     file = Path(path)
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
     total = next((line.split()[0] for line in lines if "station_total" in line), "")

@@ -45,9 +45,9 @@ def read_matrix(path: str | Path, name: str | None = None) -> LabeledMatrix:
     [[4.0, -1.0], [-1.0, 5.0]]
     """
     if not isinstance(path, (str, Path)) or not Path(path).is_file():
-        raise InputError(f"path is {str(path)!r}; allowed: a matrix file that exists")
+        raise InputError("path", str(path), "a matrix file that exists")
     if name is not None and not isinstance(name, str):
-        raise InputError(f"name is {name!r}; allowed: the name of a matrix of the file, or None")
+        raise InputError("name", name, "the name of a matrix of the file, or None")
     file = Path(path)
     try:
         matrices = _read(file)

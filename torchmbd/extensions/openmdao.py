@@ -65,9 +65,9 @@ def openmdao_component(
             "openmdao_component needs the package openmdao, which is not installed: pip install 'torchmbd[openmdao]'"
         ) from error
     if gradients not in _GRADIENTS:
-        raise InputError(f"gradients is {gradients!r}; allowed: {' or '.join(map(repr, _GRADIENTS))}")
+        raise InputError("gradients", gradients, f"{' or '.join(map(repr, _GRADIENTS))}")
     if not isinstance(responses, Mapping) or not responses:
-        raise InputError(f"responses is {responses!r}; allowed: name -> measure, one at least")
+        raise InputError("responses", responses, "name -> measure, one at least")
     for name, measure in responses.items():
         if not isinstance(measure, Measure):
             raise InputError(f"response {name!r} is {measure!r}; allowed: a measure, such as mbd.Max(...)")

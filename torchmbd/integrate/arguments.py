@@ -14,7 +14,7 @@ import torch
 import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
 
-from torchmbd.errors import InputError, one_of, unknown
+from torchmbd.errors import InputError, nearest, one_of, unknown
 from torchmbd.integrate.backend import BACKENDS
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phase import Phase
@@ -40,15 +40,15 @@ def checked_integrator(
     """
     if isinstance(duration, Tensor) and untransformed(duration).dim():
         what = f"a tensor of shape {tuple(duration.shape)}" if duration.dim() else "a batch of torch.vmap"
-        raise InputError(f"duration is {what}; allowed: one positive number [s], for all designs")
+        raise InputError("duration", duration, "one positive number [s], for all designs", shown=what)
     duration = seconds_of(duration)
     if not isinstance(duration, numbers.Real) or isinstance(duration, bool) or not 0 < float(duration) < math.inf:
-        raise InputError(f"duration is {duration!r} s; allowed: a positive number")
+        raise InputError("duration", duration, "a positive number", shown=f"{duration!r} s")
     if steps is not None and not (is_whole(steps) and steps >= 1):
-        raise InputError(f"steps is {steps!r}; allowed: a positive integer")
+        raise InputError("steps", steps, "a positive integer")
     if not SHORTEST <= float(duration) / (steps or 1) <= LONGEST:
         step = f"steps of {float(duration) / (steps or 1):.3g} s"
-        raise InputError(f"duration is {duration!r} s: {step}; allowed: {SHORTEST:g} to {LONGEST:g} s")
+        raise InputError("duration", duration, f"{SHORTEST:g} to {LONGEST:g} s", shown=f"{duration!r} s: {step}")
     integrator = integrator_of(method, options, argument_names)
     if steps is not None:
         integrator.stored_intervals(steps)
@@ -62,9 +62,8 @@ def check_gradients(gradients: Any, integrator: Integrator) -> None:
         return
     if not integrator.adjoint:
         methods = " or ".join(repr(name) for name, entry in INTEGRATORS.items() if entry.adjoint)
-        raise InputError(
-            f"gradients is 'reverse', but method is {integrator.name!r}; allowed: method {methods}, or 'forward'"
-        )
+        shown = f"'reverse', but method is {integrator.name!r}"
+        raise InputError("gradients", gradients, f"method {methods}, or 'forward'", shown=shown)
 
 
 def seconds_of(duration: Any) -> Any:
@@ -84,7 +83,7 @@ def duration_is_differentiated(duration: Any, gradients: str, integrator: Integr
             "gradients='auto' or 'reverse', which have both modes, or duration.detach()"
         )
     if duration.dtype != torch.float64:
-        raise InputError(f"duration is {duration.dtype}; allowed: torch.float64")
+        raise InputError("duration", duration, "torch.float64", shown=str(duration.dtype))
     return True
 
 
@@ -115,9 +114,10 @@ def check_backend(backend: Any) -> None:
     """InputError for a backend that does not exist, or is not installed."""
     names = ["auto", *BACKENDS]
     if isinstance(backend, str) and (absence := BACKENDS.absence(backend)):
-        raise InputError(f"backend = {backend!r}: {absence}. Try: {' or '.join(map(repr, names))}")
+        raise InputError("backend", backend, rule=absence, hint=" or ".join(map(repr, names)))
     if isinstance(backend, str) and backend not in names and (missing := BACKENDS.missing(backend)):
-        raise InputError(f"{unknown('backend', backend, names)}; {missing}")
+        rule = f"does not exist{nearest(backend, names)}; {missing}"
+        raise InputError("backend", backend, rule=rule, noun=f"backend {backend!r}", shown="")
     one_of("backend", backend, names)
 
 
@@ -149,7 +149,7 @@ def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
     """Designs with a lane axis; InputError names those that are not finite float64 numbers of the system's parameters."""
     parameters = dict(system.named_parameters())
     if not isinstance(designs, (Mapping, type(None))):
-        raise InputError(f"designs is {designs!r}; allowed: parameter name -> tensor [lanes, ...]")
+        raise InputError("designs", designs, "parameter name -> tensor [lanes, ...]")
     check_dtypes(system)
     for name, x in parameters.items():
         if name in (designs or {}):
@@ -197,5 +197,5 @@ def checked_variables(system: System, variables: Any) -> list[str]:
     """Names of parameters; InputError names what is none."""
     parameters = dict(system.named_parameters())
     if isinstance(variables, str) or not isinstance(variables, Sequence):
-        raise InputError(f"variables is {variables!r}; allowed: a list of names of parameters")
+        raise InputError("variables", variables, "a list of names of parameters")
     return [one_of("parameter", name, parameters) for name in variables]

@@ -327,5 +327,5 @@ def _times(times: Any) -> Tensor:
     """Ascending finite times [n] [s]."""
     t = reals("times", times).reshape(-1)
     if not len(t) or not bool(torch.isfinite(t).all()) or bool((t.diff() <= 0.0).any()):
-        raise InputError(f"times is {times!r}; allowed: finite times in ascending order [s]")
+        raise InputError("times", times, "finite times in ascending order [s]")
     return t

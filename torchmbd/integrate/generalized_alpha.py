@@ -36,7 +36,7 @@ class GeneralizedAlpha(OneStep):
         super().__post_init__()
         rho = self.spectral_radius
         if rho is not None and (not isinstance(rho, (int, float)) or isinstance(rho, bool) or not 0.0 <= rho <= 1.0):
-            raise InputError(f"spectral_radius is {rho!r}; allowed: 0 (strong damping) to 1 (none)")
+            raise InputError("spectral_radius", rho, "0 (strong damping) to 1 (none)")
 
     def with_defaults(self, topology: Topology) -> GeneralizedAlpha:
         if self.spectral_radius is None and topology.beams is not None:

@@ -37,7 +37,7 @@ class HHTAlpha(OneStep):
         super().__post_init__()
         x = self.alpha
         if not isinstance(x, (int, float)) or isinstance(x, bool) or not -1.0 / 3.0 <= x <= 0.0:
-            raise InputError(f"alpha is {x!r}; allowed: -1/3 (strong damping) to 0 (none)")
+            raise InputError("alpha", x, "-1/3 (strong damping) to 0 (none)")
 
     def weights(self, h: Any) -> Weights:
         return Weights.newmark(h, 0.0, -self.alpha)

@@ -102,13 +102,11 @@ def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, ad
     fixed, each = (lane_bytes(system, k, tangents, adjoint) for k in (0, 1))
     most = int((free - _shared(steps) - fixed) / (each - fixed))
     if most < 1:
-        raise InputError(
-            f"system is too large: one design takes {sizes}; allowed: smaller meshes, fewer modes or variables"
-        )
-    raise InputError(
-        f"steps is {steps}: the motion of one design takes {sizes}; allowed: up to {_rounded(most)} states; "
-        "checkpoint=100 keeps every hundredth only"
-    )
+        shown = f"too large: one design takes {sizes}"
+        raise InputError("system", system, "smaller meshes, fewer modes or variables", shown=shown)
+    shown = f"{steps}: the motion of one design takes {sizes}"
+    allowed = f"up to {_rounded(most)} states; checkpoint=100 keeps every hundredth only"
+    raise InputError("steps", steps, allowed, shown=shown)
 
 
 def lanes_at_once(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> int:

@@ -84,17 +84,17 @@ class OneStep(Integrator):
         counts = iterations if isinstance(iterations, (tuple, list)) else ()
         if len(counts) != 2 or not all(is_whole(k) and k >= 1 for k in counts):
             allowed = "two positive integers, for values and for tangents"
-            raise InputError(f"iterations is {self.iterations!r}; allowed: {allowed}")
+            raise InputError("iterations", self.iterations, allowed)
         if self.refresh is not None and (not is_whole(self.refresh) or self.refresh < 0):
-            raise InputError(f"refresh is {self.refresh!r}; allowed: a number of steps, or 0 for every correction")
+            raise InputError("refresh", self.refresh, "a number of steps, or 0 for every correction")
         if not is_whole(self.halvings) or self.halvings < 0:
-            raise InputError(f"halvings is {self.halvings!r}; allowed: a whole number, 0 or more")
+            raise InputError("halvings", self.halvings, "a whole number, 0 or more")
         if not is_whole(self.checkpoint) or self.checkpoint < 1:
-            raise InputError(f"checkpoint is {self.checkpoint!r}; allowed: a number of steps, 1 or more")
+            raise InputError("checkpoint", self.checkpoint, "a number of steps, 1 or more")
 
     def stored_intervals(self, steps: int) -> int:
         if steps % self.checkpoint:
-            raise InputError(f"steps is {steps}; allowed: a multiple of checkpoint, {self.checkpoint}")
+            raise InputError("steps", steps, f"a multiple of checkpoint, {self.checkpoint}")
         return steps // self.checkpoint
 
     def round_up_steps(self, steps: int) -> int:

@@ -95,7 +95,7 @@ def switching(phases: Sequence[Phase] | None) -> Sequence[Phase] | None:
 def segments_of(system: System, phases: Sequence[Phase], duration: float) -> tuple[System, list[Segment]]:
     """The system with all joints and locks, and its segments; InputError names what a phase cannot have."""
     if not isinstance(phases, (list, tuple)) or not phases or not all(isinstance(phase, Phase) for phase in phases):
-        raise InputError(f"phases is {phases!r}; allowed: a list of at least one mbd.Phase")
+        raise InputError("phases", phases, "a list of at least one mbd.Phase")
     names = [phase.name or str(i) for i, phase in enumerate(phases, 1)]
     _check_order(phases, names, duration)
     for known, result in system.segments_of_phases:
@@ -194,7 +194,7 @@ def _actions_of_phase(system: System, phase: str, laws: Mapping[str, Law]) -> tu
     of_kind, count = {type(kind): kind for kind in system.topology.actions}, Counter()
     for name, law in laws.items():
         if name not in named:
-            raise unknown(f"in laws of phase {phase!r} the force", name, named)
+            raise unknown(f"in laws of phase {phase!r} the force", name, named, ("phases", phase, "laws"))
         matches = [force for force in system.forces if force.name == name]
         if len(matches) > 1 or len(list(matches[0].actions(AttachmentTable()))) != 1:
             raise InputError(f"laws of phase {phase!r} names {name!r}; allowed: one force element of a single action")
@@ -219,9 +219,8 @@ def _check_order(phases: Sequence[Phase], names: Sequence[str], duration: float)
         )
     times = [0.0, *(p.end_time for p in phases if p.end_time is not None), duration]
     if any(a >= b for a, b in itertools.pairwise(times)):
-        raise InputError(
-            f"until of the phases is {times[1:-1]} s; allowed: increasing times before duration={duration:g} s"
-        )
+        allowed, ends = f"increasing times before duration={duration:g} s", times[1:-1]
+        raise InputError(("phases", "until"), ends, allowed, noun="until of the phases", shown=f"{ends} s")
 
 
 def _joints_named(system: System, phase: str, joints: Sequence[Joint | str], argument: str) -> list[Joint]:
@@ -231,7 +230,7 @@ def _joints_named(system: System, phase: str, joints: Sequence[Joint | str], arg
     for x in joints:
         name = x if isinstance(x, str) else x.name
         if name not in named or (isinstance(x, Joint) and named[name] is not x):
-            raise unknown(f"in {argument} of phase {phase!r} the joint", name, named)
+            raise unknown(f"in {argument} of phase {phase!r} the joint", name, named, ("phases", phase, argument))
         result.append(named[name])
     return result
 

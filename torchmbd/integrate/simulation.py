@@ -112,7 +112,7 @@ class Simulation(Summary):
         **options: Any,
     ):
         if not isinstance(system, System):
-            raise InputError(f"system is {system!r}; allowed: a System")
+            raise InputError("system", system, "a System")
         phases = switching(phases)
         self._integrator = checked_integrator(duration, method, steps, options, argument_names(Simulation))
         check_backend(backend)

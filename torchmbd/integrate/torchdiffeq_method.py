@@ -49,16 +49,16 @@ class Torchdiffeq(Integrator):
         for key in ("rtol", "atol"):
             x = getattr(self, key)
             if not isinstance(x, (int, float)) or isinstance(x, bool) or not 0.0 < x < 1.0:
-                raise InputError(f"{key} is {x!r}; allowed: positive, below 1")
+                raise InputError(key, x, "positive, below 1")
         if self.options is not None and not isinstance(self.options, dict):
-            raise InputError(f"options is {self.options!r}; allowed: name -> value, options of torchdiffeq")
+            raise InputError("options", self.options, "name -> value, options of torchdiffeq")
         allowed = options_of(self.name)
         for key, x in (self.options or {}).items():
             if key not in allowed:
-                raise unknown(f"options of method {self.name!r}: the option", key, allowed)
+                raise unknown(f"options of method {self.name!r}: the option", key, allowed, ("options", key))
             good, words = allowed[key]
             if not good(x):
-                raise InputError(f"options of method {self.name!r}: {key} is {x!r}; allowed: {words}")
+                raise InputError(("options", key), x, words, noun=f"options of method {self.name!r}: {key}")
 
     def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
         """See Integrator. The statistics are the number of evaluations of the right-hand side."""

@@ -30,5 +30,5 @@ def deg(degrees: float | Sequence[float] | Tensor) -> Tensor:
     try:
         x = torch.as_tensor(degrees, dtype=torch.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"degrees is {degrees!r}; allowed: numbers") from error
+        raise InputError("degrees", degrees, "numbers") from error
     return x * (math.pi / 180.0)

@@ -27,7 +27,7 @@ from collections.abc import Iterable, Mapping
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, Path, warn
 
 EXTENT = (1e-5, 200.0)  # m
 DIMENSION = (1e-6, 20.0)  # m
@@ -50,12 +50,17 @@ _IN_DEGREES = (30.0, 45.0, 60.0, 90.0, 180.0, 270.0, 360.0)
 WHOLE_TURN = 2.0 * math.pi * (1.0 + 1e-12)  # 360 degrees, rounded
 
 
-def check_angles(name: str, values: Iterable[float], outer: str = "") -> None:
-    """InputError for the first angle [rad] of more than a whole turn or nan; `outer`: text before its name."""
+def check_angles(name: str, values: Iterable[float], outer: str = "", path: Path = ()) -> None:
+    """InputError for the first angle [rad] of more than a whole turn or nan.
+
+    outer  text before its name
+    path   the keys to the angles; default: the name
+    """
     for k, value in enumerate(values):
         if not abs(value) <= WHOLE_TURN:
-            hint = " (degrees? use mbd.deg)" if abs(value) > WHOLE_TURN else ""
-            raise InputError(f"{outer}{name}[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+            hint = f"mbd.deg({value!r}), if it is in degrees" if abs(value) > WHOLE_TURN else ""
+            noun, rule = f"{outer}{name}[{k}]", "must lie in the range -2 pi to 2 pi"
+            raise InputError((*(path or (name,)), k), value, hint=hint, rule=rule, noun=noun, shown=f"{value!r} rad")
 
 
 def warn_degrees(name: str, value: float) -> None:
@@ -76,12 +81,16 @@ def turn_in_radians(degrees: Iterable[float]) -> str | None:
     return None
 
 
-def check_parameter(what: str, name: str, values: Tensor) -> None:
-    """Check values of a parameter by the last part of its name; infinite values are missing bounds and ignored."""
+def check_parameter(what: str, name: str, values: Tensor, path: Path = ()) -> None:
+    """Check values of a parameter by the last part of its name; infinite values are missing bounds and ignored.
+
+    what  text before the name in a message
+    path  the keys to the values; default: the name
+    """
     kind, x = name.rpartition(".")[2], values.detach().flatten()
     finite = torch.where(x.isfinite(), x, 0.0)
     if kind == "angles":
-        check_angles(name, finite.tolist(), f"{what} ")
+        check_angles(name, finite.tolist(), f"{what} ", path)
     elif kind in _USUAL and bool(finite.any()):
         unit, usual = _USUAL[kind]
         warn_unusual(f"{what} {name}", float(finite.max()), unit, usual)

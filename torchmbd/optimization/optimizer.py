@@ -344,22 +344,23 @@ def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = (
     allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
     for option in options:
         if option not in allowed:
-            fault = f"option {option!r} does not exist for method {name!r} (it is {options[option]!r})"
-            raise InputError(fault + nearest(option, [*allowed, *arguments]))
+            names = nearest(option, [*allowed, *arguments])
+            rule = f"for method {name!r} the option {option!r} does not exist{names}"
+            raise InputError(option, options[option], rule=rule)
     return method
 
 
 def require_range(name: str, value: float, low: float, high: float) -> float:
     """Return `value` if it is a number in [low, high]; InputError otherwise."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= value <= high:
-        raise InputError(f"{name} = {value!r}: must lie in [{low:g}, {high:g}]")
+        raise InputError(name, value, rule=f"must lie in [{low:g}, {high:g}]")
     return value
 
 
 def require_count(name: str, value: int, low: int, high: int) -> int:
     """Return `value` if it is an integer in [low, high]; InputError otherwise."""
     if not isinstance(value, numbers.Integral):
-        raise InputError(f"{name} = {value!r}: must be an integer")
+        raise InputError(name, value, rule="must be an integer")
     require_range(name, value, low, high)
     return value
 
@@ -374,13 +375,13 @@ def require_inside(
 ) -> None:
     """Raise InputError unless a design [n] lies in its bounds [n].
 
-    what   the noun of the message
+    what   the argument that has the design
     shown  writes a value of a variable
     """
     for name, low, value, high in zip(names, lower, x, upper, strict=True):
         if not low <= value <= high:
-            between = f"must lie between {shown(name, low)} and {shown(name, high)}"
-            raise InputError(f"{what} of {name} = {shown(name, value)}: {between}")
+            rule = f"must lie between {shown(name, low)} and {shown(name, high)}"
+            raise InputError((what, name), value, rule=rule, noun=f"{what} of {name}", shown=shown(name, value))
 
 
 def require_problem(problem: Any) -> None:
@@ -400,7 +401,7 @@ def as_numbers(name: str, values: Any) -> np.ndarray:
             raise TypeError
         return numbers.astype(float)
     except (TypeError, ValueError, RuntimeError) as error:  # RuntimeError: a tensor that requires a gradient
-        raise InputError(f"{name} is {values!r}; allowed: numbers") from error
+        raise InputError(name, values, "numbers") from error
 
 
 def checked_names(problem: Box, size: int) -> list[str]:

@@ -57,16 +57,17 @@ class RobustProblem:
         if not isinstance(kind, str) or kind not in KINDS:
             raise unknown("kind", kind, KINDS)
         if len(getattr(problem, "equalities", ())):
-            raise InputError("problem has equalities, which no design within tolerances keeps; allowed: inequalities")
+            rule = "has equalities, which no design within tolerances keeps; allowed: inequalities"
+            raise InputError("problem", problem, rule=rule, shown="")
         if kind == "expected" and getattr(problem, "has_extra_variable", False):
-            raise InputError("problem minimizes the largest of several rows, and kind is 'expected'; allowed: 'worst'")
+            rule = "is 'expected', and the problem minimizes the largest of several rows; allowed: 'worst'"
+            raise InputError("kind", kind, rule=rule, shown="")
         start, lower, upper = checked_box(problem)
         self.period = np.asarray(getattr(problem, "period", np.zeros(start.size)), dtype=float)
         d = as_numbers("tolerance", tolerance)
         if d.shape not in ((), start.shape) or not (np.isfinite(d).all() and (d >= 0.0).all() and d.any()):
-            raise InputError(
-                f"tolerance is {tolerance!r}; allowed: a number or {start.size} of them, not negative, not all zero"
-            )
+            allowed = f"a number or {start.size} of them, not negative, not all zero"
+            raise InputError("tolerance", tolerance, allowed)
         d = np.array(np.broadcast_to(d, start.shape))
         if getattr(problem, "has_extra_variable", False):
             d[-1] = 0.0  # it is no design variable
@@ -90,9 +91,8 @@ class RobustProblem:
         around = self.problem.evaluate(x + self.shifts, True)
         failed = next((e.status for e in around if not e.ok), None)
         if failed is not None:
-            raise InputError(
-                f"start: its worst case is {failed}; allowed: designs that can be evaluated within tolerances"
-            )
+            rule = f": its worst case is {failed}; allowed: designs that can be evaluated within tolerances"
+            raise InputError("start", rule=rule)
         return np.array([e.objective for e in around]), np.array([e.objective_gradient for e in around])
 
     @property
@@ -193,7 +193,8 @@ def _corners(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners [2^n, n] of the box; they have equal rights."""
     moved = np.flatnonzero(d)
     if 2**moved.size > MAX_CORNERS:
-        raise InputError(f"tolerance: {moved.size} variables have {2**moved.size} corners; allowed: {MAX_CORNERS}")
+        rule = f": {moved.size} variables have {2**moved.size} corners; allowed: {MAX_CORNERS}"
+        raise InputError("tolerance", rule=rule)
     corners = np.zeros((2**moved.size, d.size))
     corners[:, moved] = np.array(list(product((-1.0, 1.0), repeat=moved.size))) * d[moved]
     return corners, np.ones(len(corners))

@@ -54,7 +54,7 @@ class PlyHistory:
 
     def __init__(self, motion: Trajectory, name: str):
         if not hasattr(motion, "body"):
-            raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
+            raise InputError("motion", motion, "a motion, as mbd.simulate(...) makes it")
         view = motion.body(name)
         self.name, self.w = name, view.w
         body = motion.system.body(name)
@@ -98,7 +98,7 @@ class PlyHistory:
         """Mode of failure that is nearest at each time, at the critical point; criteria: those with modes, as "puck"."""
         criterion = one_of("criterion of modes", criterion, MODES)
         if lane not in range(len(self.w)):
-            raise InputError(f"lane is {lane!r}; allowed: 0 to {len(self.w) - 1}")
+            raise InputError("lane", lane, f"0 to {len(self.w) - 1}")
         point = self.critical(criterion)[lane]
         _, strength = self._rule(criterion)
         stress = torch.einsum("tcm,tm->tc", self.basis.stress[lane, point], self.w[lane])

@@ -113,7 +113,7 @@ def response_error(
     least    least size of a number; a function of the value returns it, of the shape of the value
     """
     if not callable(response):
-        raise InputError(f"response is {response!r}; allowed: a measure, such as mbd.Max(...)")
+        raise InputError("response", response, "a measure, such as mbd.Max(...)")
     if motion.repetition is None:
         raise InputError("this motion is a part of another; allowed: error_of of the motion that simulate returns")
     with torch.no_grad():

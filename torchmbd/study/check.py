@@ -6,8 +6,7 @@ Checked in tests/contracts/test_file_mistakes.py, tests/study/test_load.py.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path as FilePath
@@ -16,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from torchmbd.design.problem_parts import require_duration
-from torchmbd.design.response_spec import SpecError, leaf, measure_of, terms
+from torchmbd.design.response_spec import leaf, measure_of, terms
 from torchmbd.design.scenario_settings import settings_of
 from torchmbd.design.space import CONSTANT, DesignSpace
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 from torchmbd.integrate import Simulation
 from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator
 from torchmbd.integrate.registry import integrator_of
@@ -28,7 +27,7 @@ from torchmbd.math import units
 from torchmbd.multibody.system import System
 from torchmbd.study import schema
 from torchmbd.study.assemble import in_si, links_in_si, point_in_si, sweep_in_si
-from torchmbd.study.file_errors import Fault, Lines, Path, mentioned, shown
+from torchmbd.study.file_errors import Fault, Lines, shown
 from torchmbd.study.model import (
     build_model,
     find_model,
@@ -42,7 +41,18 @@ from torchmbd.study.schema import OBJECTIVE_KEYS, Motion, Variable
 from torchmbd.study.settings import check_options, sweep_values
 
 Sections = Mapping[str, Any]
-NOUNS = {"lower": "lower bound", "upper": "upper bound", "start": "start", "tolerance": "tolerance", "step": "step"}
+#: Keys of a design variable that have numbers.
+_OF_NUMBERS = ("lower", "upper", "start", "tolerance", "step")
+#: Arguments of a study's constructors that a file has under another key.
+_KEYS: dict[str | int, Path] = {
+    "objective": ("combine", "objective"),
+    "constraints": ("combine", "constraints"),
+    "weights": ("scenarios",),
+    "kind": ("robust",),
+    "tolerance": ("design",),
+    "increments": ("design",),
+    "problem": ("subject_to",),
+}
 
 
 class Faults(list[Fault]):
@@ -54,18 +64,13 @@ class Faults(list[Fault]):
 
     @contextmanager
     def at(self, *path: str | int) -> Iterator[None]:
-        """An InputError becomes a fault at a path, or at the key below it that the message names."""
+        """An InputError becomes a fault at the key of its argument, below a path or beside it; else at the path."""
         try:
             yield
-        except SpecError as error:
-            self.append(Fault((*path, *error.path), error.text))
         except InputError as error:
-            below = {key: line for key, line in self.lines.items() if key[: len(path)] == path}
-            text = str(error)
-            place = mentioned(text, below) or path
-            # "duration is 0 s; ..." and "kkt = [1]: ..." at this key: "simulate.duration = 0 s; ..."
-            text, named = re.subn(rf"^{re.escape(str(place[-1]))} (is|=) ", "= ", text)
-            fault = Fault(place, text if named or text.startswith("= ") else f": {text}")
+            whole = error.path[:1] == path[:1]  # the error has the whole path, as of an entry of links
+            owners = [path[:k] for k in range(len(path), -whole, -1)]
+            fault = fault_at(error, path, owners, self.lines)
             self += [fault] * (fault not in self)
 
     def made(self, path: Path, make: Callable[[], Any]) -> Any:
@@ -75,6 +80,32 @@ class Faults(list[Fault]):
         return None
 
 
+def fault_at(error: InputError, path: Path, owners: Iterable[Path], lines: Lines) -> Fault:
+    """Return the fault of an error at the key of its argument, at `path` if the file has none.
+
+    owners  paths of mappings that may have the key, the most likely first
+    """
+    for size in range(len(error.path), 0, -1):
+        for place in ((*owner, *error.path[:size]) for owner in owners):
+            if place in lines:
+                return Fault(place, error.reason if size == len(error.path) else f": {error}")
+    return Fault(path, f": {error}" if error.path else error.reason)  # without a path it is about what is there
+
+
+def study_fault(error: InputError, sections: Sections, lines: Lines) -> Fault:
+    """Return the fault of an error that the study as a whole raises, at the key of its argument."""
+    name, *rest = error.path or ("",)
+    if name in (*_OF_NUMBERS, "increments") and rest:
+        entry = str(rest[0])
+        variable = entry if entry in sections["design"] else entry.rpartition("[")[0]
+        return _design_fault(error, variable, sections["design"][variable])
+    if name == "minimize" and rest:
+        return Fault(("tradeoff", rest[0]), f": {error}")
+    if name in _KEYS:
+        return Fault(_KEYS[name], f": {error}")
+    return fault_at(error, (), [(), ("simulate",), ("optimizer",)], lines)
+
+
 def built_system(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fault]]:
     """Return the system of the model, None if it cannot be built, and the faults of model and options."""
     if "model" not in sections:
@@ -82,7 +113,7 @@ def built_system(sections: Sections, folder: FilePath) -> tuple[System | None, l
     try:
         builder = find_model(sections["model"], folder)
     except InputError as error:
-        return None, [Fault(("model",), str(error))]
+        return None, [Fault(("model",), error.reason)]
     if "options" not in sections or (faults := option_faults(builder, sections["options"])):
         return None, faults if "options" in sections else []
     try:
@@ -202,17 +233,43 @@ def _add_design(faults: Faults, sections: Sections, system: System) -> None:
 
 def _number_faults(name: str, variable: Variable, make: Callable[..., DesignSpace], space: DesignSpace) -> list[Fault]:
     """Return the faults of the numbers of a design variable; `make`: its space, with bounds and start; `space`: without."""
-    alone, zeros = {name: variable}, np.zeros(len(space.names))
-    of_keys = [_design_fault(name, variable, partial(space.vector, NOUNS[k], in_si(alone, k), zeros)) for k in NOUNS]
-    if not any(of_keys):
+    alone, zeros, of_keys = {name: variable}, np.zeros(len(space.names)), []
+    for key in _OF_NUMBERS:
+        of_keys += _faults_of(name, variable, partial(space.vector, key, in_si(alone, key), zeros))
+    if not of_keys:
         start, lower, upper = (in_si(alone, key) for key in ("start", "lower", "upper"))
         pairs = {name: (lower.get(name, -np.inf), upper.get(name, np.inf))} if lower or upper else {}
-        of_keys = [_design_fault(name, variable, partial(make, bounds=pairs, start=start))]
+        of_keys = _faults_of(name, variable, partial(make, bounds=pairs, start=start))
     missing = [key for key in ("lower", "upper") if getattr(variable, key) is None]
     if len(missing) == 2 and all(entry.rpartition("[")[0] != name for entry in space.names):
         missing = []  # every entry follows others
-    of_bounds = [Fault(("design", name, key), "is missing; allowed: a number") for key in missing]
-    return of_bounds + [fault for fault in of_keys if fault is not None]
+    return [Fault(("design", name, key), "is missing; allowed: a number") for key in missing] + of_keys
+
+
+def _faults_of(name: str, variable: Variable, construct: Callable[[], Any]) -> list[Fault]:
+    """Return the fault of a design variable that a constructor refuses, none if it accepts it."""
+    try:
+        construct()
+    except InputError as error:
+        return [_design_fault(error, name, variable)]
+    return []
+
+
+def _design_fault(error: InputError, name: str, variable: Variable) -> Fault:
+    """Return the fault of an error about the numbers of a design variable, at its key and with its value there.
+
+    ("start", "rod.laminate.angles[1]") is the key design.rod.laminate.angles.start
+    """
+    key, entry, *indices = (*error.path, "", "")[: max(len(error.path), 2)]
+    key = "step" if key == "increments" else str(key)
+    if key not in _OF_NUMBERS:
+        return Fault(("design", name), f": {error}")
+    value = getattr(variable, key)
+    text = "is not given, and the model is built with" if value is None else f"= {value}:"
+    if error.hint:  # an angle of more than a turn
+        text, error.hint = f"= {value} with unit: {variable.unit}:", "unit: deg"
+    index = f"{str(entry).removeprefix(name)}{''.join(f'[{k}]' for k in indices)} ".lstrip()
+    return Fault(("design", name, key), f"{text} {index}{error.predicate()}")
 
 
 def _add_points(faults: Faults, sections: Sections, space: DesignSpace) -> None:
@@ -222,31 +279,11 @@ def _add_points(faults: Faults, sections: Sections, space: DesignSpace) -> None:
         try:
             space.point("start", point_in_si(design, space.names, point), np.zeros(len(space.names)))
         except InputError as error:
-            faults.append(Fault(("starts", "points", k), f"= {point}: {str(error).removeprefix('start ')}"))
+            entry = f"{error.path[1]} " if len(error.path) > 1 else ""
+            faults.append(Fault(("starts", "points", k), f"= {point}: {entry}{error.predicate()}"))
     for name, span in sweep_in_si(design, sweep or {}).items():
         with faults.at("sweep", name):
             sweep_values(name, span, space.names, space.lower, space.upper)
-
-
-def _design_fault(name: str, variable: Variable, construct: Any) -> Fault | None:
-    """Return the fault of a design variable that `construct` refuses, None if it accepts it.
-
-    "start of rod.laminate.angles[1] = 95 deg: must lie between ..." stands at the key: design.rod.laminate.angles.start
-    """
-    try:
-        construct()
-    except InputError as error:
-        noun, _, rest = str(error).partition(name)
-        [*keys] = (key for key in NOUNS if noun.startswith(NOUNS[key]))
-        if not keys:
-            return Fault(("design", name), f": {error}")
-        value = getattr(variable, keys[0])
-        value_text = "is not given, and the model is built with" if value is None else f"= {value}:"
-        hint = ""
-        if "degrees?" in rest:
-            value_text, hint = f"= {value} with unit: {variable.unit}:", ", or unit: deg"
-        return Fault(("design", name, keys[0]), f"{value_text} {rest.lstrip()}{hint}")
-    return None
 
 
 def _add_scenarios(faults: Faults, sections: Sections, system: System, folder: FilePath) -> None:
@@ -266,9 +303,8 @@ def _add_scenarios(faults: Faults, sections: Sections, system: System, folder: F
                 faults.append(Fault((*path, "options"), f"= {shown(scenario.options)}: {error}"))
         for name, x in scenario.settings.items():
             try:
-                settings_of(variant, list(sections.get("design", ())), str(k), {name: x})
+                settings_of(variant, list(sections.get("design", ())), f"in scenario {str(k)!r}", {name: x})
             except InputError as error:
-                text = str(error).removeprefix(f"{name} in scenario '{k}' ").removeprefix(f"is {x!r}; ")
-                if "mbd.variable" in text:
-                    text += ", and what it is built from are options: {...} of a scenario"
-                faults.append(Fault((*path, "set", name), f"= {x}: {text}"))
+                if error.hint:  # there is no such parameter
+                    error.hint += ", or options: {...} of the scenario for arguments of the model"
+                faults.append(Fault((*path, "set", name), error.reason))

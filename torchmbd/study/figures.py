@@ -76,7 +76,7 @@ def _read(source: Source, sections: dict[str, Any], faults: list[Fault]) -> Figu
             draw = find_function(sections["figures"], source.folder)
             require_returns(sections["figures"], draw, ("dict", "Mapping"))
         except InputError as error:
-            return [*faults, Fault(("figures",), str(error))]
+            return [*faults, Fault(("figures",), error.reason)]
         faults = faults + [Fault(("options", "folder"), "is given by torchmbd")] * ("folder" in options)
         faults += option_faults(draw, {"folder": None, **options})
     return faults or FiguresPlan(Figures.model_construct(**sections), source)

@@ -8,16 +8,14 @@ Checked in tests/study/.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path, dotted
 from torchmbd.tracking.uri import hidden
 
 _MOST = 20  # faults in a message
 _LONGEST = 2000  # characters of a fault
-Path = tuple[str | int, ...]
 Lines = Mapping[Path, int | str]  # where a path was written: a line of the file, or an override's own text
 
 
@@ -53,11 +51,6 @@ def _short(line: str) -> str:
     return line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}"
 
 
-def dotted(path: Path) -> str:
-    """Write a path as the overrides spell it: `subject_to.0.at_most`."""
-    return ".".join(map(str, path))
-
-
 def located(faults: Iterable[Fault], lines: Lines) -> list[Fault]:
     """Return the faults with the line of their path, or of its nearest parent in the file."""
     return [replace(fault, where=_line(fault.path, lines)) for fault in faults]
@@ -67,19 +60,6 @@ def _line(path: Path, lines: Lines) -> int | str | None:
     while path and path not in lines:
         path = path[:-1]
     return lines.get(path)
-
-
-def mentioned(text: str, lines: Lines) -> Path:
-    """Return the path of a file to which a message most likely refers, () if to none.
-
-    That is the path whose last key occurs in the message, and most of its other keys; among equals the one whose last key
-    occurs first. For errors of the study as a whole, such as an option that the method refuses.
-    """
-    words = {str(key) for path in lines for key in path if not isinstance(key, int)}
-    matches = {word: re.search(rf"(?<![\w.]){re.escape(word)}(?!\w)", text) for word in words}
-    positions = {word: match.start() for word, match in matches.items() if match}
-    paths = [path for path in lines if path and str(path[-1]) in positions]
-    return max(paths, key=lambda path: (sum(str(k) in positions for k in path), -positions[str(path[-1])]), default=())
 
 
 def shown(value: object, limit: int = 60) -> str:

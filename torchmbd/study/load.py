@@ -15,10 +15,10 @@ from rich.console import Console
 from torchmbd.errors import InputError
 from torchmbd.registry import Registry
 from torchmbd.study.assemble import study_of
-from torchmbd.study.check import built_system, section_faults
+from torchmbd.study.check import built_system, section_faults, study_fault
 from torchmbd.study.estimate import print_estimate
 from torchmbd.study.figures import FIGURES
-from torchmbd.study.file_errors import Fault, StudyError, located, mentioned
+from torchmbd.study.file_errors import Fault, StudyError, located
 from torchmbd.study.kind import Kind, Source
 from torchmbd.study.model import forget_files
 from torchmbd.study.overrides import override
@@ -96,12 +96,12 @@ def _read_study(source: Source, sections: dict[str, Any], faults: list[Fault]) -
         try:
             return study_of(StudyFile.model_construct(**sections), system, source.path, source.overrides)
         except InputError as error:
-            refusal = str(error)
+            refusal = error
     if of_model:
         sections = {key: x for key, x in sections.items() if key not in ("model", "options", "parameters")}
     faults += section_faults(sections, system, source.folder, lines)
     if refusal is not None and not faults:  # of the study as a whole
-        faults = [Fault(mentioned(refusal, lines), f": {refusal}")]
+        faults = [study_fault(refusal, sections, lines)]
     return faults
 
 

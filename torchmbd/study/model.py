@@ -57,7 +57,7 @@ def find_phases(spec: str, folder: Path) -> list[Phase]:
     with _user_code():
         phases = function()
     if not isinstance(phases, list) or not all(isinstance(phase, Phase) for phase in phases):
-        raise InputError(f"= {shown(spec)}: returns {phases!r}; allowed: a list of mbd.Phase")
+        raise _refused(spec, f"returns {phases!r}; allowed: a list of mbd.Phase")
     return phases
 
 
@@ -74,17 +74,20 @@ def find_function(spec: str, folder: Path) -> Callable[..., Any]:
         module_name, _, function_name = spec.rpartition(":")
         module = _module(module_name, folder)
         functions = [name for name, value in vars(module).items() if inspect.isfunction(value) and name[0] != "_"]
-        raise InputError(
-            f"= {shown(spec)}: {module_name} has no function {function_name!r}{nearest(function_name, functions)}"
-        )
+        raise _refused(spec, f"{module_name} has no function {function_name!r}{nearest(function_name, functions)}")
     return function
+
+
+def _refused(spec: str, rule: str) -> InputError:
+    """Return the error of the name of a function; the key that has the name is the reader's."""
+    return InputError((), spec, rule=rule, noun="function", shown=shown(spec))
 
 
 def _named(spec: str, folder: Path) -> Any:
     """Return the object that `spec` names, None if the module has no such name."""
     module_name, _, name = spec.rpartition(":")
     if not module_name or not name:
-        raise InputError(f"= {shown(spec)}: allowed: package.module:function or path/to/file.py:function")
+        raise _refused(spec, "allowed: package.module:function or path/to/file.py:function")
     return getattr(_module(module_name, folder), name, None)
 
 
@@ -98,20 +101,17 @@ def require_returns(spec: str, function: Callable[..., Any], allowed: tuple[str,
     name = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
     if annotation is None or name.partition("[")[0].rpartition(".")[2] not in allowed:
         returned = "nothing" if annotation is None else f"-> {name}"
-        raise InputError(
-            f"= {shown(spec)}: the function says {returned} about what it returns; "
-            f"allowed: a function annotated with -> {' or '.join(allowed)}"
-        )
+        types = " or ".join(allowed)
+        rule = f"the function says {returned} about what it returns; allowed: a function annotated with -> {types}"
+        raise _refused(spec, rule)
 
 
 def _inside(name: str, folder: Path) -> Path:
     """Return the path of a file below the folder; InputError for one that lies outside."""
     file = (folder / file_of(name)).resolve()
     if file_of(name).is_absolute() or not file.is_relative_to(folder.resolve()):
-        raise InputError(
-            f"= {shown(name)}: lies outside the folder of the experiment file; "
-            f"allowed: a Python file in {folder} or below, or an importable module"
-        )
+        allowed = f"a Python file in {folder} or below, or an importable module"
+        raise _refused(name, f"lies outside the folder of the experiment file; allowed: {allowed}")
     return file
 
 

@@ -18,8 +18,8 @@ from typing import Any
 
 import yaml
 
-from torchmbd.errors import nearest
-from torchmbd.study.file_errors import Fault, Path, StudyError, dotted
+from torchmbd.errors import Path, dotted, nearest
+from torchmbd.study.file_errors import Fault, StudyError
 from torchmbd.study.yaml_file import Document, parse_yaml
 
 _NAMED_BY_PARAMETERS = ("design", "sweep", "parameters")  # sections whose keys are dotted names

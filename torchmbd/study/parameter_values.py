@@ -16,7 +16,6 @@ from pathlib import Path
 import torch
 
 from torchmbd.design.scenario_settings import settings_of
-from torchmbd.errors import InputError
 from torchmbd.multibody.system import System
 from torchmbd.study.file_errors import Fault, StudyError
 from torchmbd.study.scenario_keys import Settings, si_of
@@ -42,12 +41,7 @@ def set_parameters(system: System, values: Settings) -> System:
     """Give parameters of a system, by name, other values; InputError for one that does not exist, or that cannot be."""
     if not values:
         return system
-    try:
-        settings = settings_of(system, (), KEY, si_of(values))
-    except InputError as error:
-        raise InputError(
-            str(error).replace("parameter of a scenario", "parameter").replace("in scenario ", "of ")
-        ) from None
+    settings = settings_of(system, (), f"of {KEY}", si_of(values), (KEY,))
     with torch.no_grad():
         for name, value in settings.items():
             system.get_parameter(name).copy_(value)

@@ -120,7 +120,7 @@ def parts_of(model: str, folder: Path) -> Parts:
     try:
         function = find_model(model, folder)
     except InputError as error:
-        raise InputError(str(Fault(("model",), str(error)))) from error
+        raise InputError(str(Fault(("model",), error.reason))) from error
     needed = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
     if needed:
         raise InputError(

@@ -65,7 +65,7 @@ def _readable(spec: dict[str, Any]) -> dict[str, Any]:
     try:
         measure_of(spec)
     except SpecError as error:
-        raise PydanticCustomError("response", "{text}", {"text": error.text, "path": error.path}) from error
+        raise PydanticCustomError("response", "{text}", {"text": error.rule, "path": error.path}) from error
     return spec
 
 

@@ -103,7 +103,7 @@ class StudySettings(Summary):
         require_limits(max_iterations, None)
         for what, text in (("name", name), ("question", question), ("experiment", experiment)):
             if not isinstance(text, str) or (what != "question" and not NAME.fullmatch(text)):
-                raise InputError(f"{what} is {text!r}; allowed: words in one line")
+                raise InputError(what, text, "words in one line")
         self.problem: Any = problem
         self.method, self.name, self.question = method, name, question
         self.front = len(getattr(problem, "criteria", ())) > 1
@@ -123,10 +123,8 @@ class StudySettings(Summary):
         self.starts = recipe(starts, self._start)
         self.increments = self._checked_increments(increments)
         if any(self.increments) and options.get("max_time") is not None:
-            raise InputError(
-                f"max_time = {options['max_time']!r}: must be left out where variables take steps (increments). "
-                "Try: max_boxes, max_iterations"
-            )
+            rule = "must be left out where variables take steps (increments)"
+            raise InputError("max_time", options["max_time"], rule=rule, hint="max_boxes, max_iterations")
         self.sweep = self._sweep_values(sweep)
         self.outcome: Outcome | None = None
 
@@ -136,28 +134,29 @@ class StudySettings(Summary):
         parameters = [name.rpartition("[")[0] or name for name in names]
         angles = {name: "deg" for name in parameters if QUANTITIES.get(name.rpartition(".")[2]) == "rad"}
         if units is not None and not isinstance(units, Mapping):
-            raise InputError(f"units is {units!r}; allowed: parameter -> unit")
+            raise InputError("units", units, "parameter -> unit")
         for parameter, unit in (units or {}).items():
             if parameter not in parameters:
-                raise unknown("units of parameter", parameter, dict.fromkeys(parameters))
+                raise unknown("units of parameter", parameter, dict.fromkeys(parameters), ("units", parameter))
             if unit not in UNITS:
-                raise unknown("unit", unit, UNITS)
+                raise unknown("unit", unit, UNITS, ("units", parameter))
         scalars = [] if self.system is None else [n for n, x in self.system.named_parameters() if not x.ndim]
         return Columns.of(names, angles | dict(units or {}), scalars)
 
     def _checked_increments(self, increments: Mapping[str, float | Tensor] | None) -> list[float | None]:
         """Return the increment of each design variable [SI], None where it takes any value."""
         if increments is not None and not isinstance(increments, Mapping):
-            raise InputError(f"increments is {increments!r}; allowed: parameter -> step")
+            raise InputError("increments", increments, "parameter -> step")
         names = list(self.problem.names)
         for parameter in increments or {}:
             if all(parameter not in (name, name.rpartition("[")[0]) for name in names):
-                raise unknown("increments of parameter", parameter, names)
+                raise unknown("increments of parameter", parameter, names, ("increments", parameter))
         # A number may be a tensor, as of mbd.deg.
         known = {name: positive(f"increments of {name}", step, "SI") for name, step in (increments or {}).items()}
         steps = [known.get(name, known.get(name.rpartition("[")[0])) for name in names]
         if any(steps) and (self.front or self.has_extra_variable):
-            raise InputError("design has a step, and the objective several rows; allowed: one number, such as max")
+            rule = "has a step, and the objective several rows; allowed: one number, such as max"
+            raise InputError("increments", increments, rule=rule, noun="design", shown="")
         if any(steps):
             Grid(self.problem, steps, self.problem.lower, self.problem.upper, getattr(self.problem, "period", None))
         return steps
@@ -167,16 +166,16 @@ class StudySettings(Summary):
         if spans is None:
             return None
         if not isinstance(spans, Mapping) or any(np.shape(span) != (3,) for span in spans.values()):
-            raise InputError(f"sweep is {spans!r}; allowed: one variable -> (first, last, count)")
+            raise InputError("sweep", spans, "one variable -> (first, last, count)")
         others = {"a tolerance": isinstance(self.problem, RobustProblem), "a tradeoff": self.front}
         others["a step"] = any(self.increments)
         for other, is_asked in others.items():
             if is_asked:
-                raise InputError(f"sweep and {other} are both given; allowed: one of them")
+                raise InputError("sweep", rule=f"and {other} are both given; allowed: one of them")
         if len(spans) != 1:
-            raise InputError(f"sweep is {spans!r}; allowed: one variable")
+            raise InputError("sweep", spans, "one variable")
         if self.has_extra_variable:
-            raise InputError("minimize has several rows; allowed in a sweep: one number, such as max")
+            raise InputError("minimize", rule="has several rows; allowed in a sweep: one number, such as max")
         [(name, span)] = spans.items()
         return sweep_values(name, span, self.problem.names, self.problem.lower, self.problem.upper)
 
@@ -254,7 +253,8 @@ def sweep_values(
     """
     entries = [k for k, label in enumerate(names) if name in (label, label.rpartition("[")[0])]
     if len(entries) != 1:
-        raise InputError(f"swept variable {name!r} is no single design variable{nearest(name, names)}")
+        rule = f"is no single design variable{nearest(name, names)}"
+        raise InputError(("sweep", name), span, rule=rule, noun=f"swept variable {name!r}", shown="")
     [index] = entries
     first, last, count = span
     for what, value in (("first value", first), ("last value", last)):
@@ -276,7 +276,7 @@ def check_options(method: str, options: Mapping[str, Any], front: bool) -> None:
         kind, *others = get_args(hints[name]) or (hints[name],)
         types, text = _TYPES.get(kind, (object, ""))
         if not (isinstance(x, types) and isinstance(x, bool) <= (kind is bool)) and not (x is None and others):
-            raise InputError(f"{name} = {x!r}: must be {text}")
+            raise InputError(name, x, rule=f"must be {text}")
     for name, least, most in (("divisions", 1, 10_000), ("max_lanes", 1, 1_000_000), ("max_analyses", 1, 1_000_000)):
         if options.get(name) is not None:
             require_count(name, options[name], least, most)

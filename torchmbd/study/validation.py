@@ -14,8 +14,8 @@ from typing import Any, Union, cast, get_args, get_origin
 from pydantic import ValidationError, create_model
 from pydantic_core import ErrorDetails
 
-from torchmbd.errors import nearest
-from torchmbd.study.file_errors import Fault, Path, shown
+from torchmbd.errors import Path, nearest
+from torchmbd.study.file_errors import Fault, shown
 from torchmbd.study.schema import LIMIT_KINDS, UNITS, Section
 from torchmbd.tracking.uri import StoreURI
 

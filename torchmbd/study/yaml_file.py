@@ -24,8 +24,8 @@ from typing import Any
 
 import yaml
 
-from torchmbd.errors import InputError
-from torchmbd.study.file_errors import Fault, Path, StudyError
+from torchmbd.errors import InputError, Path
+from torchmbd.study.file_errors import Fault, StudyError
 from torchmbd.tracking.uri import StoreURI, hidden
 
 _MAX_BYTES = 1_000_000
@@ -48,7 +48,7 @@ class Document:
 def read_yaml(path: str | FilePath) -> Document:
     """Read a file; StudyError with every fault and its line."""
     if not isinstance(path, (str, FilePath)):
-        raise InputError(f"file is {path!r}; allowed: the path of a file")
+        raise InputError("file", path, "the path of a file")
     file = FilePath(path)
     try:
         content = file.read_bytes()

@@ -61,7 +61,7 @@ def _question_words(response: Measure | Constraint, limit: float | None, goal: s
 def require_problem(problem: Any) -> None:
     """InputError unless the argument is a Problem."""
     if not isinstance(problem, Problem):
-        raise InputError(f"problem is {problem!r}; allowed: mbd.Problem(...)")
+        raise InputError("problem", problem, "mbd.Problem(...)")
 
 
 def first_limits(problem: Problem) -> list[float]:

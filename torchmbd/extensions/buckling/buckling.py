@@ -105,7 +105,7 @@ class BucklingCase:
         supported, assembly = self.supported, self.supported.assembly
         if not is_whole(number) or not 1 <= number <= supported.pattern.size:
             allowed = f"1 to {supported.pattern.size}, the free freedoms of {self.body.name!r}"
-            raise InputError(f"number is {number!r}; allowed: {allowed}")
+            raise InputError("number", number, allowed)
         K = assembly.stiffness()
         inner = supported.restricted(K)
         forces = assembly.freedoms.gathered(self.loads()[..., None])

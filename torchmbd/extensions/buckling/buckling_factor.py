@@ -61,7 +61,7 @@ class BucklingFactor(Measure):
 
     def check(self, system: System) -> None:
         if not is_whole(self.number) or self.number < 1:
-            raise InputError(f"number is {self.number!r}; allowed: 1, 2, ...")
+            raise InputError("number", self.number, "1, 2, ...")
         if self.loads is None:
             self._peak.check(system)
         else:

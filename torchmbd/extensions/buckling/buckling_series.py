@@ -66,7 +66,7 @@ class BucklingSeries:
         supported, lanes = self.supported, len(c)
         if number > supported.pattern.size:
             raise InputError(
-                f"number is {number!r}; allowed: 1 to {supported.pattern.size}, the free freedoms of {supported.name!r}"
+                "number", number, f"1 to {supported.pattern.size}, the free freedoms of {supported.name!r}"
             )
         finite = torch.isfinite(c.detach()).all(-1, keepdim=True)
         c = torch.where(finite, c, 0.0)

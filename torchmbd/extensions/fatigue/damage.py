@@ -113,7 +113,7 @@ class Damage(OfHistory):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not isinstance(self.curve, SNCurve):
-            raise InputError(f"curve is {self.curve!r}; allowed: SNCurve([(cycles, amplitude), ...])")
+            raise InputError("curve", self.curve, "SNCurve([(cycles, amplitude), ...])")
         _positive("repeats", self.repeats)
 
     @property
@@ -151,15 +151,13 @@ class FatigueDamage(Measure):
     def __post_init__(self) -> None:
         _positive("repeats", self.repeats)
         if self.curves is not None and (not isinstance(self.curves, Mapping) or not self.curves):
-            raise InputError(
-                f"curves is {self.curves!r}; allowed: components -> SNCurve, such as {{'11': SNCurve(...)}}"
-            )
+            raise InputError("curves", self.curves, "components -> SNCurve, such as {'11': SNCurve(...)}")
         if self.curves is None and not isinstance(self.exponent, Mapping):
             _positive("exponent", self.exponent)
             return
         by_component: Any = self.exponent if self.curves is None else self.curves
         if not by_component:
-            raise InputError(f"exponent is {self.exponent!r}; allowed: a positive number, or one for each component")
+            raise InputError("exponent", self.exponent, "a positive number, or one for each component")
         for component, x in by_component.items():
             if component not in PLY_COMPONENTS:
                 raise unknown("stress component", component, PLY_COMPONENTS)

@@ -56,10 +56,10 @@ class SNCurve:
         try:
             points = tuple((float(n), float(a)) for n, a in self.points)
         except (TypeError, ValueError):
-            raise InputError(f"points is {self.points!r}; allowed: pairs (cycles, amplitude [Pa])") from None
+            raise InputError("points", self.points, "pairs (cycles, amplitude [Pa])") from None
         object.__setattr__(self, "points", points)
         if len(points) < 2:
-            raise InputError(f"points is {self.points!r}; allowed: two pairs (cycles, amplitude [Pa]) at least")
+            raise InputError("points", self.points, "two pairs (cycles, amplitude [Pa]) at least")
         for k, (n, a) in enumerate(points):
             if not (0.0 < n < math.inf and 0.0 < a < math.inf):
                 raise InputError(f"points[{k}] is {(n, a)}; allowed: positive cycles and a positive amplitude [Pa]")

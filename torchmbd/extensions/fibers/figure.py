@@ -39,7 +39,7 @@ def fiber_paths(body: Any, density: float = 1.0) -> Figure:
     """
     parts = [x for x in getattr(body, "plates", {}).values() if isinstance(x.laminate, SteeredLaminate)]
     if len(parts) != 1:
-        raise InputError(f"body is {body!r}; allowed: a FlexibleBody with one steered laminate")
+        raise InputError("body", body, "a FlexibleBody with one steered laminate")
     matrices, laminate = parts[0].matrices, parts[0].laminate
     axes = torch.empty_like(matrices.axes)
     axes[matrices.zones] = matrices.axes

@@ -55,7 +55,7 @@ class Experiment(Summary):
         **options: Any,
     ):
         if not isinstance(system, System):
-            raise InputError(f"system is {system!r}; allowed: a System")
+            raise InputError("system", system, "a System")
         single = [measurements] if isinstance(measurements, Measurement) else measurements
         self.measurements: list[Measurement] = list_of(
             "measurements", single, Measurement, "a measurement, such as mbd.TimeSeries(...)"
@@ -82,7 +82,7 @@ class Experiment(Summary):
             **options,
         )
         self.system = system
-        self.settings = settings_of(system, (), "the experiment", settings or {})
+        self.settings = settings_of(system, (), "of the experiment", settings or {}, ("settings",))
         for name in (name for measurement in self.measurements for name in measurement.sets if name in self.settings):
             raise InputError(
                 f"settings has {name!r}, a load that a measurement sets; allowed: parameters that are none"

@@ -168,15 +168,15 @@ class FitProblem:
     def _priors(self, priors: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Unknowns with a prior, their means and deviations."""
         if not isinstance(priors, Mapping):
-            raise InputError(f"priors is {priors!r}; allowed: parameter name -> (mean, standard deviation)")
+            raise InputError("priors", priors, "parameter name -> (mean, standard deviation)")
         means, deviations = {}, {}
         for name, pair in priors.items():
             if not isinstance(pair, (tuple, list)) or len(pair) != 2:
                 raise InputError(f"prior of {name} is {pair!r}; allowed: (mean, standard deviation)")
             means[name], deviations[name] = pair
         nothing = np.full(len(self.names), np.nan)
-        mean = self.space.vector("mean of the prior", means, nothing)
-        deviation = self.space.vector("deviation of the prior", deviations, nothing)
+        mean = self.space.vector("prior", means, nothing, "mean of the prior")
+        deviation = self.space.vector("prior", deviations, nothing, "deviation of the prior")
         rows = np.flatnonzero(np.isfinite(mean))
         for row in rows:
             if not 0.0 < deviation[row] < np.inf:
@@ -364,7 +364,7 @@ def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequ
     """The unknown parameters of the systems by name; InputError for one that no system has, or that an experiment sets."""
     names = list_of("unknowns", unknowns, str, "names of parameters")
     if len(set(names)) < len(names):
-        raise InputError(f"unknowns is {names!r}; allowed: each parameter once")
+        raise InputError("unknowns", names, "each parameter once")
     every: dict[str, Any] = {}
     for x in experiments.values():
         every = dict(x.system.named_parameters()) | every

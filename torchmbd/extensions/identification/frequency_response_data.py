@@ -73,9 +73,9 @@ class FrequencyResponseData(Measurement):
         **options: Any,
     ):
         if not isinstance(outputs, Mapping) or not all(isinstance(name, str) for name in outputs):
-            raise InputError(f"outputs is {outputs!r}; allowed: name -> signal, such as mbd.signals.JointAngle(joint)")
+            raise InputError("outputs", outputs, "name -> signal, such as mbd.signals.JointAngle(joint)")
         if not isinstance(input, Actuator):
-            raise InputError(f"input is {input!r}; allowed: an actuator, such as mbd.signals.JointTorque(joint)")
+            raise InputError("input", input, "an actuator, such as mbd.signals.JointTorque(joint)")
         pairs = {name: x if isinstance(x, tuple) and len(x) == 2 else (x, None) for name, x in outputs.items()}
         self.input, signals = checked_ports([input], [signal for signal, _ in pairs.values()])
         check_options(self, options)
@@ -102,7 +102,7 @@ class FrequencyResponseData(Measurement):
                 raise InputError(f"output {name!r} is zero or a gap where it was measured; allowed: other numbers")
         deviation = {} if deviation is None else deviation
         if not isinstance(deviation, Mapping):
-            raise InputError(f"deviation is {deviation!r}; allowed: name of an output -> a number, or one for each row")
+            raise InputError("deviation", deviation, "name of an output -> a number, or one for each row")
         for name, x in deviation.items():
             one_of("deviation of output", name, self.outputs)
             values = checked_deviation(f"deviation of output {name!r}", x)

@@ -93,11 +93,11 @@ class ModalData(Measurement):
     ):
         self.frequencies = _positive("frequencies", frequencies, " [Hz]")
         if (np.diff(self.frequencies) < 0.0).any():
-            raise InputError(f"frequencies is {frequencies!r}; allowed: in ascending order [Hz]")
+            raise InputError("frequencies", frequencies, "in ascending order [Hz]")
         count = len(self.frequencies)
         self.damping = np.full(count, np.nan) if damping is None else _numbers(damping)
         if self.damping.shape != (count,) or (self.damping <= 0.0).any() or np.isinf(self.damping).any():
-            raise InputError(f"damping is {damping!r}; allowed: {count} positive numbers, nan where there is none")
+            raise InputError("damping", damping, f"{count} positive numbers, nan where there is none")
         self.shares = positive("frequency_share", frequency_share, "-"), positive("damping_share", damping_share, "-")
         require_range("least_mac", least_mac, 0.0, 1.0)
         self.least_mac, self.options = least_mac, options
@@ -125,7 +125,7 @@ class ModalData(Measurement):
             or not all(is_whole(k) and k >= 1 for k in self.numbers)
             or len(set(self.numbers)) < count
         ):
-            raise InputError(f"modes is {modes!r}; allowed: {count} different numbers, 1 for the lowest mode")
+            raise InputError("modes", modes, f"{count} different numbers, 1 for the lowest mode")
         self.labels, self.without_partner = list(range(1, count + 1)), ""
 
     def check(self, system: System) -> None:

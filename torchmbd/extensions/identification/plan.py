@@ -18,6 +18,7 @@ import numpy as np
 from torchmbd.design.response_spec import history_of
 from torchmbd.design.words import unit as unit_of
 from torchmbd.errors import InputError, nearest
+from torchmbd.errors import Path as FaultPath
 from torchmbd.extensions.identification.channel import SENSOR, Channel
 from torchmbd.extensions.identification.experiment import Experiment
 from torchmbd.extensions.identification.fit_problem import FitProblem
@@ -40,7 +41,6 @@ from torchmbd.multibody.system import System
 from torchmbd.study.assemble import in_si, links_in_si, starts_of
 from torchmbd.study.check import Faults, built_system, motion_faults
 from torchmbd.study.file_errors import Fault
-from torchmbd.study.file_errors import Path as FaultPath
 from torchmbd.study.kind import Source
 from torchmbd.study.model import build_model, find_model, find_phases, find_response, option_faults
 from torchmbd.study.parameter_values import set_parameters

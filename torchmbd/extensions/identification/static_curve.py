@@ -45,7 +45,7 @@ class StaticCurve(Measurement):
 
     def __init__(self, data: Any, loads: Mapping[str, str], channels: Mapping[str, Any]):
         if not isinstance(loads, Mapping) or not loads or not all(isinstance(x, str) for x in loads.values()):
-            raise InputError(f"loads is {loads!r}; allowed: parameter -> name of its column, one at least")
+            raise InputError("loads", loads, "parameter -> name of its column, one at least")
         self.channels = channels_of(channels)
         columns = {name: channel.column or name for name, channel in self.channels.items()}
         table = Table.of(data, list(dict.fromkeys([*loads.values(), *columns.values()])))

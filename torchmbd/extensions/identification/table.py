@@ -50,9 +50,7 @@ class Table:
         if isinstance(data, (str, os.PathLike)):
             return _read(Path(data), names)
         if not hasattr(data, "keys") or not hasattr(data, "__getitem__"):
-            raise InputError(
-                f"data is {data!r}; allowed: the path of a CSV file, a DataFrame, or a mapping of arrays by name"
-            )
+            raise InputError("data", data, "the path of a CSV file, a DataFrame, or a mapping of arrays by name")
         columns, units = {}, {}
         texts = [str(key) for key in data]
         headings = _headings(texts)

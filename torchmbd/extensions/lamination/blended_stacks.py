@@ -173,7 +173,7 @@ def _check(
 ) -> tuple[bool, dict[str, float]]:
     """Whether stacks are symmetric, and the weight of each zone; InputError for invalid arguments."""
     if not isinstance(laminates, Mapping) or not laminates:
-        raise InputError(f"laminates is {laminates!r}; allowed: LaminationParameters of each zone, by name")
+        raise InputError("laminates", laminates, "LaminationParameters of each zone, by name")
     weight_of_zone = dict.fromkeys(laminates, 1.0) if areas is None else areas
     for argument, by_name in (("plies", plies), ("areas", weight_of_zone)):
         if not isinstance(by_name, Mapping) or set(by_name) != set(laminates):

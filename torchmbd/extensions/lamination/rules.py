@@ -52,11 +52,11 @@ class LaminationRules:
         true_or_false("symmetric of LaminationRules", self.symmetric)
         true_or_false("balanced of LaminationRules", self.balanced)
         if self.max_step is not None and not (is_real(self.max_step) and 0.0 <= self.max_step <= 90.0):
-            raise InputError(f"max_step is {self.max_step!r}; allowed: 0 to 90 degrees, or None")
+            raise InputError("max_step", self.max_step, "0 to 90 degrees, or None")
         if not (is_real(self.min_share) and 0.0 <= self.min_share <= 0.25):
-            raise InputError(f"min_share is {self.min_share!r}; allowed: 0 to 0.25, for four directions")
+            raise InputError("min_share", self.min_share, "0 to 0.25, for four directions")
         if not (is_real(self.tolerance) and 0.0 <= self.tolerance < 45.0):
-            raise InputError(f"tolerance is {self.tolerance!r}; allowed: 0 to 45 degrees")
+            raise InputError("tolerance", self.tolerance, "0 to 45 degrees")
 
     def broken(self, angles: Sequence[float], thickness: Sequence[float] | float = 1.0) -> list[str]:
         """One sentence for each rule that a stack breaks; plies from bottom to top [deg], their thickness [any unit]."""
@@ -64,9 +64,9 @@ class LaminationRules:
         one_for_all = isinstance(thickness, (int, float))
         h = [float(thickness)] * len(plies) if one_for_all else [float(x) for x in thickness]
         if not plies or not all(map(math.isfinite, plies)):
-            raise InputError(f"angles is {angles!r}; allowed: at least one finite number [deg]")
+            raise InputError("angles", angles, "at least one finite number [deg]")
         if len(h) != len(plies) or not all(0.0 < x < math.inf for x in h):
-            raise InputError(f"thickness is {thickness!r}; allowed: a positive number, or one for each ply")
+            raise InputError("thickness", thickness, "a positive number, or one for each ply")
         broken = []
         if self.symmetric:
             broken += self._symmetry_errors(plies, h)

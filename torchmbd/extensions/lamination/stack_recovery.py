@@ -71,7 +71,7 @@ def recover_stacks(
     check_target("laminate", laminate, plies)
     check_search(rules, weights, seed)
     if not is_whole(number) or number < 1:
-        raise InputError(f"number is {number!r}; allowed: a whole number >= 1")
+        raise InputError("number", number, "a whole number >= 1")
     allowed = checked_angles(angles)
     free = free_ply_indices(plies, laminate.coupling is None)
     contributions, target = ply_contributions(plies, free), target_parameters(laminate)
@@ -214,7 +214,7 @@ def checked_angles(angles: Sequence[float]) -> torch.Tensor:
     """Allowed angles as a tensor [rad]; InputError for none, or one that is not finite."""
     allowed = reals("angles", angles).flatten()
     if not len(allowed) or not allowed.isfinite().all():
-        raise InputError(f"angles is {angles!r}; allowed: at least one finite angle [rad]")
+        raise InputError("angles", angles, "at least one finite angle [rad]")
     return allowed
 
 
@@ -225,15 +225,15 @@ def check_target(name: str, laminate: object, plies: Any) -> None:
     if laminate.field is not None:
         raise InputError(f"{name} has a field; allowed: LaminationParameters of one control, without a field")
     if not is_whole(plies) or plies < 1:
-        raise InputError(f"plies is {plies!r}; allowed: a whole number >= 1")
+        raise InputError("plies", plies, "a whole number >= 1")
 
 
 def check_search(rules: object, weights: Any, seed: Any) -> None:
     """InputError unless rules, weights and seed are valid."""
     if not (rules is None or isinstance(rules, LaminationRules)):
-        raise InputError(f"rules is {rules!r}; allowed: a LaminationRules, or None")
+        raise InputError("rules", rules, "a LaminationRules, or None")
     are_three = isinstance(weights, (Sequence, np.ndarray)) and np.shape(weights) == (3,)
     if not are_three or not all(is_real(w) and 0.0 <= w < math.inf for w in weights) or not sum(weights) > 0.0:
-        raise InputError(f"weights is {weights!r}; allowed: three numbers >= 0, not all zero")
+        raise InputError("weights", weights, "three numbers >= 0, not all zero")
     if not is_whole(seed) or seed < 0:
-        raise InputError(f"seed is {seed!r}; allowed: a whole number >= 0")
+        raise InputError("seed", seed, "a whole number >= 0")

@@ -50,7 +50,7 @@ def mesh_file(path: str | Path, scale: float | str = 1.0) -> MeshFile:
     except ImportError as error:
         raise InputError("reading mesh files needs the package meshio: pip install 'torchmbd[mesh]'") from error
     if not isinstance(path, (str, Path)) or not Path(path).is_file():
-        raise InputError(f"path is {str(path)!r}; allowed: a mesh file that exists")
+        raise InputError("path", str(path), "a mesh file that exists")
     scale = meters("scale", scale)
     path = Path(path)
     abaqus = AbaqusFile(path) if path.suffix.lower() == ".inp" else None

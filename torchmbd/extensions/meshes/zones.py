@@ -24,7 +24,7 @@ def zone_parts(
     if isinstance(laminate, Laminate):
         return {"plate": Plates(mesh, laminate, direction, mass=mass)}
     if not isinstance(laminate, Mapping):
-        raise InputError(f"laminate is {laminate!r}; allowed: a Laminate, or one for each zone by its name")
+        raise InputError("laminate", laminate, "a Laminate, or one for each zone by its name")
     count = torch.zeros(mesh.cell_count, dtype=torch.long)
     parts: dict[str, Part] = {}
     for name, layup in laminate.items():

@@ -75,7 +75,7 @@ def _body(
     _check_control(data, control)
     if density is not None:
         if not isinstance(density, (int, float)) or isinstance(density, bool) or not 0.0 < density < math.inf:
-            raise InputError(f"density is {density!r}; allowed: a number > 0 [kg/m3], of materials without RHO")
+            raise InputError("density", density, "a number > 0 [kg/m3], of materials without RHO")
         data.materials = with_density(data.materials, float(density), scale, data.weight_to_mass)
     bulk = bulk_mesh(data, scale.length)
     parts: dict[str, Part] = {}

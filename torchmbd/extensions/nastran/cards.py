@@ -41,7 +41,7 @@ class Deck(NamedTuple):
 def read_deck(path: str | Path) -> Deck:
     """Read a file. InputError names the line where the format is broken."""
     if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
-        raise InputError(f"path is {str(path)!r}; allowed: a Nastran bulk data file that exists")
+        raise InputError("path", str(path), "a Nastran bulk data file that exists")
     above, bulk = _sections(list(_Files(file).read(file, ())))
     parameters = [(where, line) for where, line in above or [] if line.lstrip().upper().startswith("PARAM")]
     return Deck(parse_cards([*parameters, *bulk]), None if above is None else Control.of(above))

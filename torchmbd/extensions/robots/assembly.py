@@ -82,7 +82,7 @@ def robot(
             raise InputError(f"{key} is {argument!r}; allowed: names -> values")
     names = None if isinstance(locked, str) or not isinstance(locked, Iterable) else list(locked)
     if names is None or not all(isinstance(name, str) for name in names):
-        raise InputError(f"locked is {locked!r}; allowed: names of joints")
+        raise InputError("locked", locked, "names of joints")
     builder = _Builder(file, flexible, fixed_base, positions or {}, velocities or {}, drives or {}, set(names))
     if stop_stiffness is not None:
         positive("stop_stiffness", stop_stiffness, "N m/rad or N/m")

@@ -167,7 +167,7 @@ def combined_mass(parts: Iterable[tuple[float, np.ndarray, np.ndarray]]) -> tupl
 def read_xml(path: str | Path, what: str) -> tuple[Path, ET.Element]:
     """Return a file and its root element; `what`: the name of the format with its article."""
     if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
-        raise InputError(f"path is {str(path)!r}; allowed: {what} file that exists")
+        raise InputError("path", str(path), f"{what} file that exists")
     if file.stat().st_size > LARGEST:
         raise InputError(f"{file.name} has {file.stat().st_size} bytes; allowed: {LARGEST}")
     text = file.read_bytes()

@@ -92,7 +92,7 @@ def campbell(
     if not isinstance(system, System):
         raise InputError(f"campbell of {system!r}; allowed: a System")
     if not is_whole(modes) or modes < 1:
-        raise InputError(f"modes is {modes!r}; allowed: 1, 2, ...")
+        raise InputError("modes", modes, "1, 2, ...")
     shaft = Shaft(axis, center, observer)
     states = steady_states(system, speeds, shaft, designs)
     follower = _Follower(

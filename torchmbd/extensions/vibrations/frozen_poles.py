@@ -43,7 +43,7 @@ def frozen_poles(
     4.905
     """
     if not isinstance(motion, Trajectory) or isinstance(motion, Equilibrium):
-        raise InputError(f"motion is {motion!r}; allowed: one of mbd.simulate; an equilibrium has `poles`")
+        raise InputError("motion", motion, "one of mbd.simulate; an equilibrium has `poles`")
     k, states = time_index(motion, time, "motion"), []
     if outside_transforms(lambda q: q.shape[-1], motion.q.movedim(0, -1)) > motion.lanes:
         raise InputError("motion is one under torch.vmap over designs; allowed: designs as lanes of one motion")

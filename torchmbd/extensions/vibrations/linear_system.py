@@ -79,7 +79,7 @@ class LinearSystem:
         """Frequency response [frequencies, outputs, inputs], complex, at frequencies [Hz]."""
         f = np.atleast_1d(reals("frequencies", frequencies).numpy())
         if f.ndim != 1 or not np.isfinite(f).all():
-            raise InputError(f"frequencies is {frequencies!r}; allowed: finite numbers [Hz]")
+            raise InputError("frequencies", frequencies, "finite numbers [Hz]")
         unit, result = np.eye(len(self.A)), []
         for x in f:
             try:
@@ -123,15 +123,13 @@ def linearize(
     ([[0.0, 1.0], [-4.905, 0.0]], ['JointTorque 1'], ['JointAngle 1'])
     """
     if not isinstance(system, System):
-        raise InputError(f"system is {system!r}; allowed: a System")
+        raise InputError("system", system, "a System")
     inputs, outputs = checked_ports(inputs, outputs)
     state = equilibrium(system) if state is None else state
     if not isinstance(state, Trajectory):
-        raise InputError(
-            f"state is {state!r}; allowed: a motion, or an equilibrium or steady rotation of mbd.equilibrium"
-        )
+        raise InputError("state", state, "a motion, or an equilibrium or steady rotation of mbd.equilibrium")
     if not is_whole(lane) or not 0 <= lane < state.lanes:
-        raise InputError(f"lane is {lane!r}; allowed: 0 to {state.lanes - 1}")
+        raise InputError("lane", lane, f"0 to {state.lanes - 1}")
     if has_failed(state.status[lane]):
         raise SimulationFailure(f"lane {lane}: {state.status[lane]}")
     ports = Ports(len(inputs))

@@ -166,9 +166,7 @@ def time_index(motion: Trajectory, time: float | None, name: str = "state") -> i
     t, x = motion.t.detach(), scalar("time", time, "a finite number", " s")
     k = int((t - x).abs().argmin())
     if abs(float(t[k]) - x) > _SAME_TIME * float(t.abs().max()):
-        raise InputError(
-            f"time is {time!r}; allowed: one of the {len(t)} times of the {name}, the nearest is {float(t[k])!r}"
-        )
+        raise InputError("time", time, f"one of the {len(t)} times of the {name}, the nearest is {float(t[k])!r}")
     return k
 
 
@@ -235,7 +233,7 @@ def _rows(T: Topology, active: Tensor, basis: Tensor, coordinates: Sequence[str]
     part = basis[[i for _, i in places]]
     if len(set(places)) != n or len(places) != n or float(torch.linalg.svdvals(part)[-1] if n else 1.0) < RELATIVE:
         proper = [T.rate_name(row) for row in independent_rows(T, active, basis)]
-        raise InputError(f"coordinates is {chosen!r}; allowed: {n} that are independent, such as {proper!r}")
+        raise InputError("coordinates", chosen, f"{n} that are independent, such as {proper!r}")
     return [row for row, _ in places]
 
 

@@ -61,7 +61,7 @@ class Shaft:
             return torch.eye(3, dtype=torch.float64)[axis_index(self.axis)]
         x = reals("axis", self.axis)
         if x.shape != (3,) or not bool(torch.isfinite(x).all()) or not bool(x.any()):
-            raise InputError(f"axis is {self.axis!r}; allowed: 'x', 'y', 'z' or a vector of three numbers")
+            raise InputError("axis", self.axis, "'x', 'y', 'z' or a vector of three numbers")
         return x / x.norm()
 
     def rotation(self, speeds: Tensor) -> SteadyRotation:
@@ -124,7 +124,7 @@ def _steady_states(
 ) -> SteadyStates:
     w = differentiable_reals("speeds", speeds, "rising speeds [n] [rad/s]").reshape(-1)
     if not len(w) or not all_true(torch.isfinite(w)) or not all_true(w.diff() > 0.0):
-        raise InputError(f"speeds is {speeds!r}; allowed: rising finite speeds [n] [rad/s]")
+        raise InputError("speeds", speeds, "rising finite speeds [n] [rad/s]")
     rotation = shaft.rotation(w)
     system = system.starting(replace(start_of(system, "assembled"), is_guess=True))
     design_values = checked_designs(system, designs)

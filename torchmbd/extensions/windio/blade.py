@@ -51,7 +51,7 @@ def read_windio(path: str | Path) -> WindIOBlade:
     >>> blade.section(0.5).stiffness()[0, 0]  # E A in the middle  # doctest: +SKIP
     """
     if not isinstance(path, (str, Path)):
-        raise InputError(f"path is {path!r}; allowed: a windIO file")
+        raise InputError("path", path, "a windIO file")
     return WindIOBlade(Path(path))
 
 
@@ -61,9 +61,9 @@ class WindIOBlade:
     def __init__(self, path: Path) -> None:
         self._file = path.name
         if not path.is_file():
-            raise InputError(f"path is {str(path)!r}; allowed: a windIO file that exists")
+            raise InputError("path", str(path), "a windIO file that exists")
         if path.stat().st_size > LARGEST:
-            raise InputError(f"path is {str(path)!r}; allowed: a windIO file of at most {LARGEST} bytes")
+            raise InputError("path", str(path), f"a windIO file of at most {LARGEST} bytes")
         try:
             read = entries(_loaded(path.read_text(encoding="utf-8")))
             self._shape = {

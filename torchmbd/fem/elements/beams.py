@@ -50,7 +50,7 @@ class Beams:
         if mass not in MASSES:
             raise unknown("mass", mass, MASSES)
         if not (isinstance(section, nn.Module) and isinstance(section, BeamSection)):
-            raise InputError(f"section is {section!r}; allowed: a Section or a GivenSection")
+            raise InputError("section", section, "a Section or a GivenSection")
         self.section = section
         self.arguments = orientation, offset, twist, mass
         count, at, turn = len(mesh.elements), reals("offset", offset), reals("twist", twist)

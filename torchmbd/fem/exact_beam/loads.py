@@ -28,7 +28,7 @@ def nodes_of(line: BeamLine, place: Any) -> list[int]:
     if isinstance(place, tuple | list):
         return [k for node in place for k in nodes_of(line, node)]
     if not is_whole(place) or not 0 <= place < len(line.nodes):
-        raise InputError(f"node is {place!r}; allowed: a name, 0 to {len(line.nodes) - 1}, or a tuple of these")
+        raise InputError("node", place, f"a name, 0 to {len(line.nodes) - 1}, or a tuple of these")
     return [int(place)]
 
 

@@ -162,11 +162,11 @@ def _checked(
     laminate: object, force: Sequence[float] | Tensor, moment: Sequence[float] | Tensor, criterion: str, kept: float
 ) -> Tensor:
     if type(laminate) is not Laminate or laminate.angles.ndim != 1:  # those of other classes have no stack of plies
-        raise InputError(f"laminate is {laminate!r}; allowed: one Laminate, whose angles are one row")
+        raise InputError("laminate", laminate, "one Laminate, whose angles are one row")
     if criterion not in PLANE_CRITERIA:
         raise unknown("criterion", criterion, PLANE_CRITERIA)
     if not is_real(kept) or not 0.0 < kept <= 1e-3:
-        raise InputError(f"kept is {kept!r}; allowed: a number in (0, 1e-3]")
+        raise InputError("kept", kept, "a number in (0, 1e-3]")
     both = [
         x.double() if isinstance(x, Tensor) and carries_gradient(x) else reals(name, x)
         for name, x in (("force", force), ("moment", moment))

@@ -45,13 +45,13 @@ def angles_of_walls(angles: Angles | Mapping[str, Angles]) -> Mapping[str, Angle
 def count_of_layers(angles: Any) -> int:
     """Return the number of plies; InputError where angles are no list."""
     if isinstance(angles, str) or not hasattr(angles, "__len__") or getattr(angles, "ndim", 1) != 1:
-        raise InputError(f"angles is {angles!r}; allowed: one angle per ply, such as mbd.deg([45, -45]) [rad]")
+        raise InputError("angles", angles, "one angle per ply, such as mbd.deg([45, -45]) [rad]")
     return len(angles)
 
 
 def check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
     if not isinstance(angles, Mapping):
-        raise InputError(f"angles is {angles!r}; allowed: a mapping with {', '.join(names)}")
+        raise InputError("angles", angles, f"a mapping with {', '.join(names)}")
     for name in angles:
         if name not in names:
             raise unknown("wall", name, names)

@@ -92,7 +92,7 @@ class Orthotropic:
         if isinstance(ply, Orthotropic):
             return ply
         if not isinstance(ply, Lamina):
-            raise InputError(f"ply is {ply!r}; allowed: a Ply or an Orthotropic")
+            raise InputError("ply", ply, "a Ply or an Orthotropic")
         if varies(ply):
             raise InputError(f"ply is {ply!r}, whose numbers vary; allowed: numbers, or a Section of the ply itself")
         if ply.loss:

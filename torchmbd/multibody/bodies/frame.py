@@ -164,7 +164,7 @@ def _three_numbers(name: str, x: Any, allowed: str) -> Tensor:
 def axis_index(name: str) -> int:
     """Index of an axis letter; InputError for anything else than x, y, z."""
     if not isinstance(name, str) or name not in ("x", "y", "z"):
-        raise InputError(f"axis is {name!r}; allowed: 'x', 'y', 'z' (an axis of the first frame)")
+        raise InputError("axis", name, "'x', 'y', 'z' (an axis of the first frame)")
     return "xyz".index(name)
 
 

@@ -46,7 +46,7 @@ class InterpolationConstraint:
         if weights is not None and (
             isinstance(weights, str) or not isinstance(weights, (Sequence, Tensor, np.ndarray))
         ):
-            raise InputError(f"weights is {weights!r}; allowed: {allowed}")
+            raise InputError("weights", weights, allowed)
         numbers = [1.0] * len(nodes) if weights is None else [scalar("weights", w, allowed) for w in weights]
         if len(numbers) != len(nodes) or not nodes or not all(0.0 < w < float("inf") for w in numbers):
             raise InputError(f"weights is {weights!r} for {len(nodes)} nodes; allowed: {allowed}")
@@ -95,7 +95,7 @@ def _index(mesh: Any, node: Any) -> int:
     if isinstance(node, str):
         return mesh.node(node)
     if not _whole(node) or not 0 <= int(node) < len(mesh.nodes):
-        raise InputError(f"node is {node!r}; allowed: a node name or 0 to {len(mesh.nodes) - 1}")
+        raise InputError("node", node, f"a node name or 0 to {len(mesh.nodes) - 1}")
     return int(node)
 
 
@@ -110,7 +110,7 @@ def _whole(x: Any) -> bool:
 def rigid_links(mesh: Any, sets: Sequence[str | Sequence[int]]) -> list[RigidLink]:
     """Links that make each set of nodes one rigid body, all of whose nodes follow the first."""
     if isinstance(sets, str) or not isinstance(sets, Sequence):
-        raise InputError(f"rigid is {sets!r}; allowed: a list of node sets, such as ['left_edge']")
+        raise InputError("rigid", sets, "a list of node sets, such as ['left_edge']")
     links = []
     for node_set in sets:
         leader, *others = node_indices(mesh, node_set)
@@ -137,5 +137,5 @@ def reference_nodes(
         return [int(distance.argmin())]
     nodes = node_indices(mesh, reference)
     if not nodes:
-        raise InputError(f"reference is {reference!r}; allowed: a node, a node set or a list of at least one node")
+        raise InputError("reference", reference, "a node, a node set or a list of at least one node")
     return nodes

@@ -79,7 +79,7 @@ class SteadyRotation:
         kind = OBSERVERS[one_of("observer", observer, OBSERVERS)]
         middle = reals("center", center)
         if middle.shape != (3,) or not bool(torch.isfinite(middle).all()):
-            raise InputError(f"center is {center!r}; allowed: three finite numbers")
+            raise InputError("center", center, "three finite numbers")
         if spin is None:
             if bool(middle.any()) or observer != TURNING:
                 name, x = ("center", center) if bool(middle.any()) else ("observer", observer)
@@ -88,7 +88,7 @@ class SteadyRotation:
         allowed = "three finite numbers, or three for each lane"
         x = differentiable_reals("spin", spin, allowed)
         if x.shape[-1:] != (3,) or x.dim() > 2 or not all_true(torch.isfinite(x)):
-            raise InputError(f"spin is {spin!r}; allowed: {allowed}")
+            raise InputError("spin", spin, allowed)
         axes = x.movedim(-1, 0).reshape(3, 1, -1)
         turns = is_differentiated(axes) or axes.shape[-1] > 1 or bool(axes.any())
         return kind(axes, middle) if turns else None

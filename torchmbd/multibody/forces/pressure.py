@@ -101,7 +101,7 @@ def _fixed(body: Any, area: Tensor, direction: Sequence[float] | Tensor) -> Iter
     """Parts along the axes of the ground."""
     u = vector("direction", direction)
     if not bool(u.any()):
-        raise InputError(f"direction is {direction!r}; allowed: three numbers that are not all zero")
+        raise InputError("direction", direction, "three numbers that are not all zero")
     nodal = _at_nodes(body, area.norm(dim=1, keepdim=True))[:, 0]
     nodes = torch.nonzero(nodal)[:, 0].tolist()
     frame = body.at(nodes, weights=nodal[nodes].tolist())

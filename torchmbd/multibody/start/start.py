@@ -87,10 +87,9 @@ class Start:
         if isinstance(start, str) and start in STARTS:
             return cls(in_equilibrium=start == "equilibrium")
         if not isinstance(start, Mapping):
-            raise InputError(
-                f"start is {start!r}; allowed: {', '.join(map(repr, STARTS))}, a motion, whose last state it is, or "
-                "'body.quantity' -> numbers, such as {'rod.modal': [0.01, 0.0]}"
-            )
+            mapping = "'body.quantity' -> numbers, such as {'rod.modal': [0.01, 0.0]}"
+            words = ", ".join(map(repr, STARTS))
+            raise InputError("start", start, f"{words}, a motion, whose last state it is, or {mapping}")
         return cls(numbers={name: _checked(system, name, x) for name, x in start.items()})
 
     @classmethod
@@ -100,11 +99,10 @@ class Start:
         similar = at.bodies == T.bodies and at.flexible == T.flexible
         similar = similar and all(abs(a - b) <= MORE for a, b in zip(at.mode_counts, T.mode_counts, strict=True))
         if not similar or q.shape[1:] != (at.n_q,) or v.shape[1:] != (at.n_v,):
-            raise InputError(
-                f"start is a motion of {q.shape[-1]} coordinates; allowed: one of a system like this, with {T.n_q}"
-            )
+            shown = f"a motion of {q.shape[-1]} coordinates"
+            raise InputError("start", q, f"one of a system like this, with {T.n_q}", shown=shown)
         if not all_true(torch.isfinite(q)) or not all_true(torch.isfinite(v)):
-            raise InputError("start is a motion whose last state is not finite; allowed: motions that are ok")
+            raise InputError("start", q, "motions that are ok", shown="a motion whose last state is not finite")
         return cls(state=(q, v), topology=at, stiffness=stiffness)
 
     @property
@@ -202,7 +200,7 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
             sizes = (3, 3) if quantity == "axes" else (body.mode_counts[0],) if quantity in MODAL else (3,)
             quantities[f"{body.name}.{quantity}"] = sizes
     if name not in quantities:
-        raise unknown("in start the quantity", str(name), quantities)
+        raise unknown("in start the quantity", str(name), quantities, ("start", str(name)))
     shape = quantities[name]
     try:
         tensor = x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64)
@@ -214,10 +212,12 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
     good = tensor is not None and tensor.dtype == torch.float64 and tensor.shape[tensor.dim() - len(shape) :] == shape
     if tensor is None or not good or tensor.dim() > len(shape) + 1 or not all_true(torch.isfinite(tensor)):
         size = ", ".join(map(str, shape))
-        raise InputError(f"start: {name!r} is {x!r}; allowed: finite float64 numbers [{size}] or [lanes, {size}]")
+        allowed = f"finite float64 numbers [{size}] or [lanes, {size}]"
+        raise InputError(("start", name), x, allowed, noun=f"start: {name!r}")
     if name.endswith(".axes"):
         refuse_derivatives(f"start: {name!r}", tensor, "a joint or another body that is turned by a parameter")
     numbers = untransformed(tensor)
     if len(shape) == 2 and float((numbers.mT @ numbers - torch.eye(3, dtype=torch.float64)).abs().max()) > _TURNED:
-        raise InputError(f"start: {name!r} is no rotation; allowed: orthonormal columns, the axes of the body")
+        allowed = "orthonormal columns, the axes of the body"
+        raise InputError(("start", name), x, allowed, noun=f"start: {name!r}", shown="no rotation")
     return tensor

@@ -98,7 +98,7 @@ class VibrationCase:
         supported = self.supported
         if not is_whole(number) or not 1 <= number <= self.most:
             allowed = f"1 to {self.most}, the free freedoms of {supported.name!r}"
-            raise InputError(f"number is {number!r}; allowed: {allowed}")
+            raise InputError("number", number, allowed)
         K, M = self._matrices()
         first, end = self.rigid, self.rigid + int(number)
         basis = _whole_clusters(K, M, end)

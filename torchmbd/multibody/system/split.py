@@ -82,9 +82,9 @@ def split(body: FlexibleBody, n: int, modes: int = 1, interface: str | int | Seq
     line = _line(body)
     count = len(line.elements)
     if not is_whole(n) or not 1 <= n <= count:
-        raise InputError(f"n is {n!r}; allowed: 1 to {count}, the elements of {body.name!r}")
+        raise InputError("n", n, f"1 to {count}, the elements of {body.name!r}")
     if not is_whole(modes) or modes < 0:
-        raise InputError(f"modes is {modes!r}; allowed: 0, 1, 2, ...")
+        raise InputError("modes", modes, "0, 1, 2, ...")
     bounds = [round(k * count / n) for k in range(n + 1)]
     nodes = interface if isinstance(interface, (list, tuple)) else [interface]
     interface_nodes = {k for node in nodes for k in node_indices(line, node)}

@@ -115,7 +115,7 @@ class Grid:
 
 def _listed(allowed: Any) -> list[Any]:
     if isinstance(allowed, (str, Mapping)) or not isinstance(allowed, Iterable):
-        raise InputError(f"allowed is {allowed!r}; allowed: an increment, values, or one of these for each variable")
+        raise InputError("allowed", allowed, "an increment, values, or one of these for each variable")
     return list(allowed)
 
 

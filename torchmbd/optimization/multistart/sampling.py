@@ -89,9 +89,7 @@ def recipe(starts: Starts | Sequence[Any] | np.ndarray | None, initial: np.ndarr
     if starts is None or isinstance(starts, Starts):
         return starts_at([initial]) if starts is None else starts
     if isinstance(starts, str) or not isinstance(starts, Iterable):
-        raise InputError(
-            f"starts is {starts!r}; allowed: mbd.sobol(...) or another sampler, a list of designs, or None"
-        )
+        raise InputError("starts", starts, "mbd.sobol(...) or another sampler, a list of designs, or None")
     return starts_at(list(starts))
 
 

@@ -101,7 +101,7 @@ def _of_lanes(motion: Trajectory, of_lane: Callable[[Designs], Tensor]) -> Tenso
 
 def _check_points(points: object) -> None:
     if not is_whole(points) or points < 2:  # pyright: ignore[reportOperatorIssue]
-        raise InputError(f"points is {points!r}; allowed: 2, 3, ...")
+        raise InputError("points", points, "2, 3, ...")
 
 
 @checked_signature
@@ -262,9 +262,7 @@ class StabilityLimit(OfVibrations):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not isinstance(self.parameter, str):
-            raise InputError(
-                f"parameter is {self.parameter!r}; allowed: 'speed', or the name of a parameter of the system"
-            )
+            raise InputError("parameter", self.parameter, "'speed', or the name of a parameter of the system")
         low, high = (scalar("between", x) for x in rising("between", self.between))
         object.__setattr__(self, "between", (low, high))
         _check_points(self.points)

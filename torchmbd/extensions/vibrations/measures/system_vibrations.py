@@ -123,7 +123,7 @@ class SystemFrequency(OfVibrations):
         if true_or_false("follow", self.follow) and self.cluster is not None:
             raise InputError(f"follow is True with cluster {self.cluster}; allowed: with a number")
         if scalar("power", self.power, "a finite number but 0") == 0.0:
-            raise InputError(f"power is {self.power!r}; allowed: a finite number but 0")
+            raise InputError("power", self.power, "a finite number but 0")
 
     def value(self, motion: Trajectory) -> Tensor:
         states = self.states(motion, torch.tensor([float(self.speed)], dtype=torch.float64))
@@ -263,14 +263,14 @@ class CampbellClearance(OfVibrations):
         super().__post_init__()
         object.__setattr__(self, "modes", _numbers("modes", self.modes))
         if not isinstance(self.orders, (list, tuple)) or not self.orders:
-            raise InputError(f"orders is {self.orders!r}; allowed: positive numbers, such as (1, 2, 3)")
+            raise InputError("orders", self.orders, "positive numbers, such as (1, 2, 3)")
         for order in self.orders:
             positive("orders", order, "")
         object.__setattr__(self, "orders", tuple(self.orders))
         low, high = positive_band("band", self.band)
         object.__setattr__(self, "band", (low, high))
         if not is_whole(self.points) or self.points < 2:
-            raise InputError(f"points is {self.points!r}; allowed: 2, 3, ...")
+            raise InputError("points", self.points, "2, 3, ...")
 
     @property
     def rows(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

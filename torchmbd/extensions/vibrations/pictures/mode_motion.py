@@ -59,7 +59,7 @@ def mode_motion(
     0.3525
     """
     if not isinstance(rest, Equilibrium):
-        raise InputError(f"rest is {rest!r}; allowed: mbd.equilibrium(...)")
+        raise InputError("rest", rest, "mbd.equilibrium(...)")
     require_lane(rest, lane)
     positive("size", size, "a share of the picture")
     for name, x, least in (("periods", periods, 1), ("frames", frames, 4)):
@@ -105,7 +105,7 @@ def _vibration(rest: Equilibrium, number: Any, lane: int) -> tuple[Tensor, Tenso
     s = spectrum.values
     swinging = (s.imag > SWINGS * s.abs()).nonzero()[:, 0]
     if not is_whole(number) or not 1 <= number <= len(swinging):
-        raise InputError(f"number is {number!r}; allowed: 1 to {len(swinging)}, the vibrations of the system")
+        raise InputError("number", number, f"1 to {len(swinging)}, the vibrations of the system")
     k = int(swinging[number - 1])
     if spectrum.fault[k]:
         raise InputError(f"vibration {number} has no shape of its own: it is {spectrum.fault[k]}; allowed: another")

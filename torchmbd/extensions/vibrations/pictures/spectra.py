@@ -55,13 +55,13 @@ def campbell(
     """
     x, f, zeta = _numbers("speeds", speeds), _numbers("frequencies", frequencies), None
     if x.ndim != 1 or len(x) < 2 or not (np.diff(x) > 0.0).all():
-        raise InputError(f"speeds is {speeds!r}; allowed: two or more in ascending order [rad/s]")
+        raise InputError("speeds", speeds, "two or more in ascending order [rad/s]")
     _require_columns("frequencies", f, x)
     if damping is not None:
         zeta = _numbers("damping", damping)
         _require_columns("damping", zeta, x, f.shape[1])
     if not isinstance(orders, (list, tuple)) or not all(isinstance(n, (int, float)) and n > 0.0 for n in orders):
-        raise InputError(f"orders is {orders!r}; allowed: positive numbers, such as (1, 2, 3)")
+        raise InputError("orders", orders, "positive numbers, such as (1, 2, 3)")
     ratios = None if zeta is None else (3, 1.2)
     figure, axes = figure_of(4.2 if zeta is None else 5.6, rows=1 if zeta is None else 2, ratios=ratios)
     top = axes[0]
@@ -115,7 +115,7 @@ def root_locus(values: Any, poles: Any, heading: str, title: str = "") -> Figure
     """
     b, s = _numbers("values", values), _numbers("poles", poles, complex)
     if b.ndim != 1 or not len(b):
-        raise InputError(f"values is {values!r}; allowed: numbers [k]")
+        raise InputError("values", values, "numbers [k]")
     _require_columns("poles", s, b)
     figure, (axes,) = figure_of(4.6)
     shown = np.isfinite(s) & (s.imag >= 0.0)
