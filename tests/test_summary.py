@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-import torch
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
@@ -41,17 +40,6 @@ def test_text_in_tables_is_text():
     assert "<script>" not in table([("<script>", 1)])
     assert few(list("abcdefgh")) == "a, b, c, d, e, f, ... (8 in all)"
     assert few([]) == "none"
-
-
-def test_a_motion_as_a_data_frame(motion):
-    name = motion.dynamics.topology.names[0]
-    frame = motion.to_dataframe(name)
-    view = motion.body(name)
-    assert frame.index.names == ["lane", "t"]
-    assert len(frame) == motion.lanes * len(motion.t)
-    columns = torch.tensor(frame[["x", "y", "z"]].to_numpy())
-    assert torch.equal(columns, view.r.flatten(0, 1))
-    assert torch.equal(torch.tensor(frame[["wx", "wy", "wz"]].to_numpy()), view.omega.flatten(0, 1))
 
 
 def test_a_problem_is_shown_without_memory_addresses():

@@ -33,6 +33,8 @@ class BeamMotion(Summary):
     omega           angular velocity of the first node in its axes [lanes, times, 3] [rad/s]
     rotations       of the nodes, from mesh axes to ground axes [lanes, times, n, 3, 3]
     displacements   of the nodes from the beam without strain, in the axes of its first node [lanes, times, n, 3] [m]
+    strains         mean of each element: stretch, shear y, shear z [1], twist, curvature y, curvature z [1/m]
+                    [lanes, times, m, 6]
     forces          (N, V_y, V_z, T, M_y, M_z) of the sections at start and end of each element [lanes, times, m, 2, 6]
     strain_energy   [lanes, times] [J]
     """
@@ -115,6 +117,12 @@ class BeamMotion(Summary):
         screw = logarithm((A.mT @ apart[..., None])[..., 0], A.mT @ B)
         strain = screw - _wide(elements.screws, 2)
         return screw, strain, (_wide(elements.stiffness, 3) @ strain[..., None])[..., 0]
+
+    @property
+    def strains(self) -> Float[Tensor, "lanes times m 6"]:
+        """Mean of each element: stretch, shear along y and z [1], twist, curvature about y and z [1/m]."""
+        length = self._elements.screws[..., :3].norm(dim=-1, keepdim=True)
+        return self._strains[1] / _wide(length, 2)
 
     @property
     def forces(self) -> Float[Tensor, "lanes times m 2 6"]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -26,9 +26,6 @@ from torchmbd.multibody.bodies import Frame
 from torchmbd.multibody.joints.joint import Attached
 from torchmbd.results.motion_data import MotionData
 from torchmbd.summary import Summary
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 Where = str | int | Sequence[float] | Frame | None
 
@@ -66,6 +63,11 @@ class BodyMotion(Summary):
     def omega_rate(self) -> Tensor:
         """Angular acceleration in body axes [lanes, times, 3] [rad/s2]."""
         return self.motion.signals.values("a", self._spin_rows())
+
+    @property
+    def velocity(self) -> Tensor:
+        """Velocity of the origin in ground axes [lanes, times, 3] [m/s]."""
+        return self._origin_rates("v")
 
     def _origin_rates(self, name: str) -> Tensor:
         return self.motion.signals.values(name, self._T.r_slice(self._index))
@@ -153,21 +155,6 @@ class BodyMotion(Summary):
         body = self.motion.system.body(self.name)
         local = _node_positions(self.motion, body)[:, None] + self.displacements
         return self.r[:, :, None] + torch.einsum("ltij,ltnj->ltni", self.A, local)
-
-    def to_dataframe(self) -> DataFrame:
-        """A row for each lane and time: origin x, y, z [m], its velocity vx, vy, vz [m/s], Euler parameters e0 to e3, angular
-        velocity in body axes wx, wy, wz [rad/s], modal coordinates w1, w2, ...; indexed by lane and t [s]."""
-        import pandas as pd
-
-        parts = {"xyz": self.r, "vx vy vz": self._origin_rates("v"), "e0 e1 e2 e3": self.p, "wx wy wz": self.omega}
-        columns = [name for names in parts for name in (names.split() if " " in names else names)]
-        numbers = [*parts.values()]
-        if self._index < self._T.flexible:
-            numbers.append(self.w)
-            columns += [f"w{k + 1}" for k in range(self.w.shape[-1])]
-        x = torch.cat(numbers, -1).detach()
-        index = pd.MultiIndex.from_product([range(x.shape[0]), self.motion.t.detach().tolist()], names=["lane", "t"])
-        return pd.DataFrame(x.flatten(0, 1).numpy(), index=index, columns=columns)
 
     def _summary(self) -> list[tuple[str, Any]]:
         kind = f"flexible, {self.w.shape[-1]} modes" if self._index < self._T.flexible else "rigid"

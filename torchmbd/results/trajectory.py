@@ -14,7 +14,7 @@ mode_shapes.py). A lane that failed says why in `status`; its numbers are nan fr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ from torchmbd.results.motion_data import MotionData
 from torchmbd.results.reaction import JointReaction, reaction
 from torchmbd.results.response_error import ResponseError, response_error
 from torchmbd.results.singular_positions import SingularPosition, singular_positions
+from torchmbd.results.table import table
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -43,8 +44,8 @@ class Trajectory(MotionData):
     (['ok'], torch.Size([41]), torch.Size([1, 41, 15, 3]))
     >>> motion.reaction("hinge").force.shape  # [N]
     torch.Size([1, 41, 3])
-    >>> motion.to_dataframe("tool").shape  # a row for each time
-    (41, 13)
+    >>> motion.to_dataframe("tool", "hinge").columns[[0, -1]].tolist()
+    ['tool x [m]', 'hinge torque z [N m]']
     """
 
     repetition: Any = field(default=None, init=False, repr=False)  # integrate/repetition.py; None: a part of a motion
@@ -62,9 +63,15 @@ class Trajectory(MotionData):
         """Force and torque of a joint on its second body, in the frame of its first."""
         return reaction(self, joint)
 
-    def to_dataframe(self, body: str) -> DataFrame:
-        """The motion of one body: a row for each lane and time (see `BodyMotion.to_dataframe`)."""
-        return self.body(body).to_dataframe()
+    def to_dataframe(self, *names: str, histories: Mapping[str, Callable[[Any], Tensor]] | None = None) -> DataFrame:
+        """The motion as a table: a row for each lane and time, indexed by lane and "t [s]". Headings have units.
+
+        names       of bodies (place, velocity, orientation, angular velocity, modal coordinates), of flexible beams (places of
+                    nodes, strains and section forces of elements), and of joints (reaction on the second body, in ground axes)
+        histories   heading -> history, such as {"energy [J]": mbd.StrainEnergy("arm")}; a function that returns [lanes, times]
+        Values only. Raises InputError that names what does not exist.
+        """
+        return table(self, names, histories)
 
     @property
     def energies(self) -> Energies:
