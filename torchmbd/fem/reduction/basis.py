@@ -44,7 +44,7 @@ from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.reduction.cut import cut_error, cut_modes
 from torchmbd.fem.reduction.forms import check, check_positive_diagonal, recognize
 from torchmbd.fem.reduction.operator_call import ModeDerivative
-from torchmbd.fem.reduction.shared_modes import shared_modes
+from torchmbd.fem.reduction.shared_modes import apply_rule, shared_modes
 from torchmbd.fem.reduction.transport import Pencil, cotangent, tangent
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import SparseMatrix
@@ -173,7 +173,7 @@ class _Basis(torch.autograd.Function):
         vectors, stiffness = ctx.saved_tensors
         values = stiffness.diagonal(dim1=-2, dim2=-1)
         dK, dM = (None if d is None else d.unsqueeze(1) for d in (dK, dM))
-        dPsi, dKr = ModeDerivative.apply(partial(tangent, ctx.pencil), 2, values, vectors, dK, dM)
+        dPsi, dKr = ModeDerivative.apply(partial(apply_rule, tangent, ctx.pencil), 2, values, vectors, dK, dM)
         return dPsi.squeeze(1), dKr.squeeze(1)
 
     @staticmethod
@@ -183,5 +183,5 @@ class _Basis(torch.autograd.Function):
         G = torch.zeros_like(vectors) if G is None else G
         H = torch.zeros_like(stiffness) if H is None else H
         directions = G.unsqueeze(1), H.unsqueeze(1)
-        K_bar, M_bar = ModeDerivative.apply(partial(cotangent, ctx.pencil), 2, values, vectors, *directions)
+        K_bar, M_bar = ModeDerivative.apply(partial(apply_rule, cotangent, ctx.pencil), 2, values, vectors, *directions)
         return None, None, K_bar.squeeze(1), M_bar.squeeze(1)

@@ -8,12 +8,14 @@ Checked in tests/fem/reduction/test_shared_modes.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.cut import Modes, widened
+from torchmbd.fem.reduction.transport import DeflatedSolver, Pencil
 from torchmbd.math.threads import lane_groups, map_threads
 
 
@@ -60,24 +62,55 @@ class GroupedModes(Modes):
 
     def lowest(self) -> tuple[Tensor, Tensor]:
         values, vectors = zip(*map_threads(lambda modes: modes.lowest(), self.modes), strict=True)
-        return _joined(values), _joined(vectors)
+        return self._joined(values), self._joined(vectors)
 
     def deflated_solve(self, F: Tensor) -> Tensor:
-        F, Z = F.detach(), torch.empty_like(F)
+        F = F.detach()
+        return self._joined(
+            map_threads(lambda group, modes: _Padded(modes).deflated_solve(F[group]), self.groups, self.modes)
+        )
 
-        def write(group: slice, modes: Modes) -> None:
-            count = int(modes.counts.max())  # the columns of further modes are zero
-            Z[group, ..., count:] = 0.0
-            Z[group, ..., :count] = modes.deflated_solve(F[group, ..., :count])
+    def derivative(self, rule: Callable[..., tuple[Tensor, Tensor]], pencil: Pencil, *tensors: Tensor | None) -> Any:
+        """Return the two tensors [lane, ...] of a rule of transport.py, which each group applies to its lanes."""
+        plain = [None if x is None else x.detach() for x in tensors]
 
-        map_threads(write, self.groups, self.modes)
-        return Z
+        def apply(group: slice, modes: Modes) -> tuple[Tensor, Tensor]:
+            part = Pencil(pencil.K_form, pencil.M_form)
+            part.modes = _Padded(modes)
+            return rule(part, *(None if x is None else x[group] for x in plain))
+
+        return tuple(map(self._joined, zip(*map_threads(apply, self.groups, self.modes), strict=True)))
+
+    def _joined(self, parts: Sequence[Tensor]) -> Tensor:
+        """Tensors [lane, ..., n] of groups as one, with zeros up to the largest n."""
+        size = max(x.shape[-1] for x in parts)
+        result = parts[0].new_empty(self.groups[-1].stop, *parts[0].shape[1:-1], size)
+
+        def write(group: slice, part: Tensor) -> None:
+            result[group, ..., : part.shape[-1]] = part
+            result[group, ..., part.shape[-1] :] = 0.0
+
+        map_threads(write, self.groups, parts)
+        return result
 
 
-def _joined(parts: Sequence[Tensor]) -> Tensor:
-    """Tensors [lane, ..., n] of groups as one, with zeros up to the largest n."""
-    size = max(x.shape[-1] for x in parts)
-    return torch.cat([x if x.shape[-1] == size else widened(x, size) for x in parts])
+class _Padded(DeflatedSolver):
+    """Modes of a group that may retain fewer modes than others: their solutions have further columns of zeros."""
+
+    def __init__(self, modes: Modes) -> None:
+        self.modes = modes
+
+    def deflated_solve(self, F: Tensor) -> Tensor:
+        count = int(self.modes.counts.max())
+        Z = self.modes.deflated_solve(F[..., :count])
+        return Z if count == F.shape[-1] else widened(Z, F.shape[-1])
+
+
+def apply_rule(rule: Callable[..., tuple[Tensor, Tensor]], pencil: Pencil, *tensors: Tensor | None) -> Any:
+    """Return rule(pencil, *tensors) of tensors [lane, ...]; groups of lanes apply it on threads."""
+    if isinstance(pencil.modes, GroupedModes):
+        return pencil.modes.derivative(rule, pencil, *tensors)
+    return rule(pencil, *tensors)
 
 
 class SharedModes(Modes):
