@@ -31,6 +31,7 @@ Parts (default: all):
     compile         compiling, with an empty cache
     work-precision  all kinds of integrators
     errors          estimated over true errors of responses by steps
+    large           a plate and a wing box of 14,000 to 117,000 freedoms (--bodies: up to 500,000) beside CHOLMOD and eigsh
     campbell        frequencies of a blade at 50 speeds, and their gradient by 100 variables
     chosen-steps    an optimization with steps by these errors over one with fixed steps
     methods         methods of optimization on ten problems whose optima are known (--problems, --methods)
@@ -67,6 +68,7 @@ from experiments.benchmark.couplings import couplings
 from experiments.benchmark.errors import errors
 from experiments.benchmark.evaluate import evaluate
 from experiments.benchmark.integrators import work_precision
+from experiments.benchmark.large import BODIES, large
 from experiments.benchmark.load_cases import load_cases
 from experiments.benchmark.methods import CASES, methods
 from experiments.benchmark.multistart import multistart
@@ -108,6 +110,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "compile": costs.compile_time,
     "work-precision": work_precision,
     "errors": errors,
+    "large": large,
     "campbell": campbell,
     "chosen-steps": chosen_steps,
     "methods": methods,
@@ -150,6 +153,9 @@ FIGURES = (
     "tenth_variable",
     "tenth_variable_tangents",
     "mesh_ratio",
+    "large_ratio",
+    "large_again",
+    "large_gb",
     "chain_ratio",
     "chain_5",
     "chain_10",
@@ -211,6 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--problems", nargs="+", default=[], choices=list(CASES), help="of the part methods; default: all"
     )
     parser.add_argument("--methods", nargs="+", default=[], choices=list(OPTIMIZERS), help="of the part methods")
+    parser.add_argument("--bodies", nargs="+", default=[], choices=list(BODIES), help="of the part large")
     options = parser.parse_args(arguments)
     for part in options.parts:
         if part not in PARTS:
@@ -218,7 +225,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.peer and not exudyn_peer.available():
         parser.error("--peer exudyn, but the package exudyn is not installed: pip install exudyn")
     torch.set_num_threads(1)
-    settings = Settings(options.peer is not None, options.quick, options.problems, options.methods)
+    settings = Settings(options.peer is not None, options.quick, options.problems, options.methods, options.bodies)
     console = Console(file=sys.stderr if options.json else sys.stdout)
 
     def tell(result: Result) -> None:

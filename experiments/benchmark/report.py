@@ -23,12 +23,14 @@ class Settings:
     peer      run the peer as well
     quick     seconds instead of minutes; what that cannot measure stays unmeasured
     problems, methods   of the part "methods", by name; none: all
+    bodies              of the part "large", by name; none: those below 120,000 freedoms
     """
 
     peer: bool = False
     quick: bool = False
     problems: Sequence[str] = ()
     methods: Sequence[str] = ()
+    bodies: Sequence[str] = ()
 
     @property
     def repeat(self) -> int:

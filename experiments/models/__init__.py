@@ -7,6 +7,7 @@ arm_twin               an arm identified from its own motion, with noise: `pytho
 turning_blade          a blade on a hub, asked about in configs/turning_blade
 pendulum_rig           a rig whose friction and inertia are measured, asked about in configs/pendulum_rig
 steered_rod            fibers that steer: `python -m experiments.models.steered_rod`, 45 minutes
+large_shells           a plate and a wing box of many freedoms: `python -m experiments.benchmark large`
 panel                  a laminated panel on three joints
 parts                  eight ordinary parts, each with an experiment file: docs/validation/parts.md; part_optima: their optima
                        by closed forms and scans

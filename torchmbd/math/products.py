@@ -1,6 +1,7 @@
 """Products of the structure stage that an extension may make faster than operators of torch, one design after another.
 
     factorize, solve         A^-1 X of a block-tridiagonal matrix                      fem/reduction/blocks.py
+    solve_supernodes         A^-1 X by a sparse factor                                 fem/reduction/sparse_factor.py
     lanczos                  steps of block Lanczos                                    fem/reduction/lanczos.py
     multiply_sparse          K X for many K of one pattern                             fem/reduction/forms.py
     products_at_pattern      Y X' at the entries of a pattern                          fem/reduction/forms.py
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
@@ -38,6 +39,23 @@ class Factor:
         self.struct: Any = None
 
 
+class Supernodes(NamedTuple):
+    """A sparse factor P A P' = L L' by columns, those with the same rows beneath them together.
+
+    first         first columns of supernodes, with the end [supernodes + 1]
+    below_start   where the rows below the triangle of each begin [supernodes + 1], in `below` [rows]
+    start         where each column begins [N + 1], in `values` [entries]: the diagonal first, then down the column
+    order         rows of A in the order of L [N]
+    """
+
+    first: Tensor
+    below_start: Tensor
+    below: Tensor
+    start: Tensor
+    values: Tensor
+    order: Tensor
+
+
 class Products(ABC):
     """See the module header."""
 
@@ -48,6 +66,10 @@ class Products(ABC):
     @abstractmethod
     def solve(self, factor: Factor, X: Tensor) -> Tensor:
         """A^-1 X for columns [lane, N, p]."""
+
+    @abstractmethod
+    def solve_supernodes(self, factor: Supernodes, X: Tensor) -> Tensor:
+        """A^-1 X for columns [N, p]."""
 
     @abstractmethod
     def lanczos(

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
+import numpy as np
 import pytest
+import scipy.sparse
 import torch
 
+import torchmbd as mbd
 from torchmbd.extensions.native.compiled_products import CompiledProducts, Factor, compiled_products
 from torchmbd.fem.reduction.lanczos import Recurrence
+from torchmbd.fem.reduction.sparse_factor import supernodes
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -66,6 +72,36 @@ def test_solve(sizes: tuple[int, ...], p: int) -> None:
     factor, inverse = factored(sizes)
     X = random(3, p, sum(sizes)).mT
     close(code().solve(factor, X), inverse @ X)
+
+
+@pytest.mark.parametrize("p", COLUMNS)
+def test_solve_supernodes(p: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks of 1 to 9 rows in a ring, whose factor has supernodes of many widths; also with strips on threads."""
+    monkeypatch.setattr(import_module(CompiledProducts.__module__), "SMALL", 0)
+    block = torch.repeat_interleave(torch.arange(12), torch.tensor([3, 1, 9, 2, 6, 4, 5, 1, 7, 8, 2, 4]))
+    near = (block[:, None] - block).abs() % 11 <= 1
+    N, B = len(block), random(len(block), len(block))
+    A = torch.where(near, B + B.mT, 0.0) + 40.0 * torch.eye(N, dtype=torch.float64)
+    order = torch.from_numpy(np.random.default_rng(p).permutation(N))
+    L = scipy.sparse.csc_array(torch.linalg.cholesky(A[order][:, order]).numpy())
+    factor = supernodes(L.indptr.astype(np.int64), L.indices.astype(np.int64), L.data, order.numpy())
+    X = random(N, p)
+    solutions = []
+    for count in (1, 3):
+        with mbd.threads(count):
+            solutions.append(code().solve_supernodes(factor, X))
+    assert torch.equal(*solutions)
+    close(solutions[0], torch.linalg.solve(A, X))
+
+
+def test_columns_with_the_same_rows_beneath_are_one_supernode() -> None:
+    L = scipy.sparse.csc_array(
+        np.array([[1.0, 0, 0, 0, 0], [2, 3, 0, 0, 0], [0, 0, 4, 0, 0], [5, 6, 7, 8, 0], [9, 1, 0, 2, 3]])
+    )
+    factor = supernodes(L.indptr.astype(np.int64), L.indices.astype(np.int64), L.data, np.arange(5))
+    assert factor.first.tolist() == [0, 2, 3, 5]
+    assert factor.below_start.tolist() == [0, 2, 3, 3]
+    assert factor.below.tolist() == [3, 4, 3]
 
 
 @pytest.mark.parametrize("p", COLUMNS)

@@ -273,6 +273,96 @@ extern "C" void solve(long begin, long end, const Factor* f, const double* X, do
 // Steps `from` to `to` of block Lanczos for H = G A^-1 G, as `_extend` of lanczos.py: the next block X [lane][N][p] becomes
 // columns of Q [lane][N][room], the components of H X along Q become columns of T [lane][room][room]; X R, with R
 // [lane][p][p], is the remainder of H X.
+// One strip of eight columns of L x = y, then L' z = x, in place. Columns of a supernode have the same rows below its triangle, so
+// that C of them change a row while it is in registers.
+namespace {
+constexpr int STRIP = 8, PARTS = STRIP / WIDTH;
+
+struct Supernode {
+  long column, width, rows;  // its first column; rows below its triangle
+  const long *below, *start;
+  const double* values;
+  const double* beneath(long c) const { return values + start[column + c] + width - c; }
+};
+
+template <int C>
+void forward_below(const Supernode& s, long c, double* x) {
+  V here[C][PARTS];
+  const double* column[C];
+  for (int k = 0; k < C; k++) {
+    column[k] = s.beneath(c + k);
+    for (int w = 0; w < PARTS; w++) here[k][w] = *(const V*)(x + (s.column + c + k) * STRIP + WIDTH * w);
+  }
+  for (long i = 0; i < s.rows; i++)
+    for (int w = 0; w < PARTS; w++) {
+      V* to = (V*)(x + s.below[i] * STRIP + WIDTH * w);
+      V sum = *to;
+      for (int k = 0; k < C; k++) sum -= column[k][i] * here[k][w];
+      *to = sum;
+    }
+}
+
+template <int C>
+void backward_below(const Supernode& s, long c, double* x) {
+  V sum[C][PARTS] = {};
+  const double* column[C];
+  for (int k = 0; k < C; k++) column[k] = s.beneath(c + k);
+  for (long i = 0; i < s.rows; i++)
+    for (int w = 0; w < PARTS; w++) {
+      const V from = *(const V*)(x + s.below[i] * STRIP + WIDTH * w);
+      for (int k = 0; k < C; k++) sum[k][w] += column[k][i] * from;
+    }
+  for (int k = 0; k < C; k++)
+    for (int w = 0; w < PARTS; w++) *(V*)(x + (s.column + c + k) * STRIP + WIDTH * w) -= sum[k][w];
+}
+
+void subtract_row(double factor, const double* from, double* to) {
+  for (int w = 0; w < PARTS; w++) *(V*)(to + WIDTH * w) -= factor * *(const V*)(from + WIDTH * w);
+}
+
+void forward(const Supernode& s, double* x) {
+  for (long c = 0; c < s.width; c++) {
+    const double* column = s.values + s.start[s.column + c];
+    double* here = x + (s.column + c) * STRIP;
+    for (int k = 0; k < STRIP; k++) here[k] /= column[0];
+    for (long d = 1; c + d < s.width; d++) subtract_row(column[d], here, here + d * STRIP);
+  }
+  long c = 0;
+  for (; c + 4 <= s.width; c += 4) forward_below<4>(s, c, x);
+  for (; c < s.width; c++) forward_below<1>(s, c, x);
+}
+
+void backward(const Supernode& s, double* x) {
+  long c = 0;
+  for (; c + 4 <= s.width; c += 4) backward_below<4>(s, c, x);
+  for (; c < s.width; c++) backward_below<1>(s, c, x);
+  for (c = s.width - 1; c >= 0; c--) {
+    const double* column = s.values + s.start[s.column + c];
+    double* here = x + (s.column + c) * STRIP;
+    for (long d = 1; c + d < s.width; d++) subtract_row(column[d], here + d * STRIP, here);
+    for (int k = 0; k < STRIP; k++) here[k] /= column[0];
+  }
+}
+}  // namespace
+
+// P' L'^-1 L^-1 P X [N][p] by strips of columns; the arrays of `Supernodes` (math/products.py).
+extern "C" void solve_supernodes(long begin, long end, long N, long supernodes, const long* first, const long* below_start,
+                                 const long* below, const long* start, const double* values, const long* order, const double* X,
+                                 double* out, long p) {
+  Buffer x(N * STRIP);
+  const auto node = [&](long s) {
+    const long rows = below_start[s + 1] - below_start[s];
+    return Supernode{first[s], first[s + 1] - first[s], rows, below + below_start[s], start, values};
+  };
+  for (long strip = begin; strip < end; strip++) {
+    const long from = strip * STRIP, columns = std::min<long>(p - from, STRIP);
+    for (long i = 0; i < N; i++)
+      for (long k = 0; k < STRIP; k++) x[i * STRIP + k] = k < columns ? X[order[i] * p + from + k] : 0.0;
+    for (long s = 0; s < supernodes; s++) forward(node(s), x.data());
+    for (long s = supernodes - 1; s >= 0; s--) backward(node(s), x.data());
+    for (long i = 0; i < N; i++) std::memcpy(out + order[i] * p + from, &x[i * STRIP], columns * sizeof(double));
+  }
+}
 extern "C" void lanczos(long begin, long end, const Factor* f, const double* G, long from, long to, long room, long p, double* Q, double* T,
                         double* X, double* R) {
   const long N = f->size(), P = padded(p), most = to * p;

@@ -17,11 +17,12 @@ import torch
 from torch import Tensor
 
 from torchmbd.extensions.native.codegen.compiler import Native
-from torchmbd.math.products import Factor, Products
+from torchmbd.math.products import Factor, Products, Supernodes
 from torchmbd.math.sparse import Pattern
 from torchmbd.math.threads import run_blocks
 
 SMALL = 1_000_000  # products that take less time than to wake another thread, about 0.1 ms
+STRIP = 8  # columns that a sparse factor solves for together, as in compiled_products.cpp
 _native = Native("extensions/native/compiled_products.cpp")
 
 
@@ -75,6 +76,14 @@ class CompiledProducts(Products):
         out = torch.empty_like(X)
         columns = X.shape[2]
         self._run("solve", len(X), _size(factor) * columns, _struct(factor), *_pointers(X, out), c_long(columns))
+        return out
+
+    def solve_supernodes(self, factor: Supernodes, X: Tensor) -> Tensor:
+        X = X.contiguous()
+        out, columns = torch.empty_like(X), X.shape[1]
+        numbers = map(c_long, (len(factor.order), len(factor.first) - 1))
+        strips, work = -(-columns // STRIP), STRIP * len(factor.values)
+        self._run("solve_supernodes", strips, work, *numbers, *_pointers(*factor, X, out), c_long(columns))
         return out
 
     def lanczos(

@@ -22,7 +22,7 @@ from torchmbd.fem.reduction.forms import Dense, Diagonal, Form, Sparse, lane_nam
 from torchmbd.fem.reduction.latest import Latest
 from torchmbd.fem.reduction.partition import Partition, partition
 from torchmbd.fem.reduction.shift import SAFE_PIVOT
-from torchmbd.fem.reduction.sparse_factor import SparseFactor, SparseLayout, SparseRoot
+from torchmbd.fem.reduction.sparse_factor import SparseFactor, SparseLayout, SparseRoot, solves_columns_together
 from torchmbd.math.sparse import Pattern
 
 Layout = Partition | SparseLayout
@@ -31,9 +31,11 @@ Root = DiagonalRoot | BlockRoot | SparseRoot
 
 COLUMNS = 150  # of a reduction: 10 to 15 steps of 8 columns, and some solves for derivatives
 BLOCK_CUBE, BLOCK_ENTRY = 0.6e-9, 0.5e-9  # seconds for each b^3 of a factorization, each entry and column of a solve
-# Seconds for each entry of L of a factorization; each entry and column of a solve with the operators of torch around it.
-FILL, FILL_ENTRY = 40e-9, 4e-9
-CALLS = 0.02  # seconds: operations of torch between solves, which compiled code does not need for blocks
+# Seconds for each entry of L of a factorization; each entry and column of a solve with the operators of torch around it: where
+# compiled code solves for several columns together, and where a library solves for one after another.
+FILL, FILL_ENTRY = 85e-9, 0.8e-9
+FILL_APART, FILL_ENTRY_APART = 40e-9, 4e-9
+CALLS = 0.05  # seconds: operations of torch between solves, which compiled code does not need for blocks
 
 
 def layout(K_form: Form, M_form: Form) -> Layout:
@@ -60,7 +62,9 @@ def seconds_of_fill(*patterns: Pattern) -> float:
     """
     nnz, size = max(p.nnz for p in patterns), patterns[0].size
     fill = 0.5 * nnz * max(np.log2(size) - 9.0, 1.0)
-    return CALLS + (FILL + COLUMNS * FILL_ENTRY) * fill
+    together = solves_columns_together()
+    factor, entry = (FILL, FILL_ENTRY) if together else (FILL_APART, FILL_ENTRY_APART)
+    return CALLS + (factor + COLUMNS * entry) * fill
 
 
 @lru_cache(maxsize=16)

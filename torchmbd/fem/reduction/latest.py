@@ -31,6 +31,8 @@ class Latest(Generic[Result]):
         before, kept = self._kept.get(key, ((), None))
         if kept is not None and all(map(torch.equal, before, numbers)):
             return kept
+        self._kept.pop(key, None)
+        del kept  # memory for what is made
         made = result()
         self._kept[key] = tuple(x.detach().clone() for x in numbers), made
         self._kept.move_to_end(key)
