@@ -26,6 +26,7 @@ from experiments.benchmark.report import Grid, Result, Settings
 from torchmbd.process import use_one_thread
 
 DESIGNS, FIGURE, SERIAL, STEPS = (32, 128), 32, 128, 500
+REPEAT = 3  # of each, in turns: the part takes about a minute
 MANY = 16  # cores for which the gain is predicted
 ANGLES = "rod.laminate.angles"
 _NATIVE = [f"torchmbd.extensions.native.{name}" for name in ("steps", "backward", "compiled_products")]
@@ -46,14 +47,14 @@ def cores(settings: Settings) -> Result:
             X = case.designs(lanes)[ANGLES].numpy()
             problem = _problem(case)
             with mbd.threads(1):
-                share = _serial_share(problem, X, settings.repeat)
+                share = _serial_share(problem, X, REPEAT)
             one, two, processes = _wall_times(
                 [
                     lambda problem=problem, X=X: _with_threads(1, problem, X),
                     lambda problem=problem, X=X: _with_threads(2, problem, X),
                     lambda X=X: pool.map(_evaluate_share, np.array_split(X, 2), chunksize=1),
                 ],
-                settings.repeat,
+                REPEAT,
             )
             gains = [1.0 / (share + (1.0 - share) / n) for n in (2, MANY)]
             rows.append(

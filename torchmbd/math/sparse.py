@@ -63,6 +63,14 @@ class Pattern:
             k = int(missing.nonzero()[0])
             raise InputError(f"entry ({int(rows[k])}, {int(cols[k])}) has no mirror image; store both triangles")
 
+    @classmethod
+    def unchecked(cls, rows: Tensor, cols: Tensor, size: int) -> Pattern:
+        """A pattern of coordinates that are sorted, unique and symmetric by their construction; the checks take longer."""
+        pattern = object.__new__(cls)
+        for name, value in (("rows", rows), ("cols", cols), ("size", size)):
+            object.__setattr__(pattern, name, value)
+        return pattern
+
     @staticmethod
     def gather(rows: ArrayLike | Tensor, cols: ArrayLike | Tensor, size: int) -> tuple[Pattern, Tensor]:
         """Sort and merge any coordinates: the pattern, and for each given coordinate its position among the values.
@@ -107,7 +115,7 @@ class Pattern:
         positions = ((rows >= 0) & (cols >= 0)).nonzero().squeeze(-1)
         if (kept[1:] < kept[:-1]).any():
             positions = positions[torch.argsort(rows[positions] * len(kept) + cols[positions])]
-        return Pattern(rows[positions], cols[positions], len(kept)), positions
+        return Pattern.unchecked(rows[positions], cols[positions], len(kept)), positions
 
     def to_scipy(self, values: Tensor | np.ndarray) -> scipy.sparse.csc_array:
         """One design's values [nnz] as a SciPy matrix (both triangles)."""

@@ -290,7 +290,7 @@ def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
     for corners, blocks in zip(kinds, block.split([len(p) for p in pairs]), strict=True):
         m, c = corners.shape
         cells.append(positions[blocks].reshape(m, c, c, 6, 6).transpose(2, 3).reshape(m, 6 * c, 6 * c))
-    return Pattern(rows, cols, 6 * n), cells
+    return Pattern.unchecked(rows, cols, 6 * n), cells
 
 
 class PlyBasis(NamedTuple):
