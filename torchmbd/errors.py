@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import functools
 import inspect
+import pickle
 import re
 import sys
 import traceback
@@ -83,6 +84,17 @@ class InputError(MbdError, ValueError):
         self._has_value = value is not _ABSENT
         super().__init__(str(self))
 
+    def __reduce__(self) -> Any:
+        """Other processes get the message and the fields, and words for a value that cannot be sent, such as a function."""
+        return _received, (type(self), {**vars(self), "value": self._sent()}, self.args)
+
+    def _sent(self) -> Any:
+        try:
+            pickle.dumps(self.value)
+        except (pickle.PicklingError, TypeError, AttributeError):
+            return repr(self.value)
+        return self.value
+
     @property
     def argument(self) -> str:
         """The path, with points between its keys; "" if the error has none."""
@@ -112,6 +124,12 @@ class InputError(MbdError, ValueError):
             return self._noun
         predicate = self.predicate()
         return f"{self._noun or self.argument}{'' if predicate.startswith(':') else ' '}{predicate}"
+
+
+def _received(kind: type[InputError], fields: dict[str, Any], args: tuple[Any, ...]) -> InputError:
+    error = kind.__new__(kind, *args)
+    vars(error).update(fields)
+    return error
 
 
 def dotted(path: Path) -> str:

@@ -6,7 +6,6 @@ Where one section is faulty, each of the others is validated by itself, and so i
 
 from __future__ import annotations
 
-import re
 import types
 from functools import cache
 from typing import Any, Union, cast, get_args, get_origin
@@ -30,6 +29,26 @@ _ALLOWED = {
     "unit": ", ".join(UNITS),
     "count": "a whole number",
     **dict.fromkeys(("lower", "upper", "duration", "from", "to"), "a number"),
+}
+#: Kind of an error of pydantic -> the rule, with the numbers of the error.
+_MUST = {
+    **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size"), "must be a valid integer"),
+    "int_from_float": "must be a valid integer, without a fraction",
+    **dict.fromkeys(("float_type", "float_parsing"), "must be a valid number"),
+    "finite_number": "must be a finite number",
+    **dict.fromkeys(("string_type", "string_unicode"), "must be a valid string"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
+    "list_type": "must be a valid list",
+    "literal_error": "must be {expected}",
+    "greater_than": "must be greater than {gt}",
+    "greater_than_equal": "must be greater than or equal to {ge}",
+    "less_than": "must be less than {lt}",
+    "less_than_equal": "must be less than or equal to {le}",
+    "string_too_short": "must have at least {min_length} character",
+    "string_too_long": "must have at most {max_length} characters",
+    "string_pattern_mismatch": "must match the pattern {pattern}",
+    "too_short": "must have at least {min_length} item",
+    "too_long": "must have at most {max_length} items",
 }
 #: Sections of several entries, each of which can be checked alone.
 _OF_ENTRIES = ("design", "links", "tradeoff", "subject_to", "scenarios")
@@ -122,7 +141,8 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
     if kind in ("too_short", "too_long") and isinstance(value, dict):
         least = details.get("ctx", {}).get("min_length", 1)
         return f"has {len(value)} keys; must have {'exactly one' if path == ('sweep',) else f'{least} or more'}"
-    return f"= {shown(value)}: {re.sub(r'^[A-Z][a-z]+ should', 'must', details['msg'])}"
+    rule = _MUST[kind].format(**details.get("ctx", {})) if kind in _MUST else details["msg"]
+    return f"= {shown(value)}: {rule}"
 
 
 def _shown_input(details: ErrorDetails, path: Path) -> object:

@@ -39,7 +39,7 @@ def test_named_nodes_are_where_they_say():
 def test_no_name_without_a_node():
     mesh = rectangle(3.0, 0.5, (3, 1))
     for name in ("left", "bottom", "center"):
-        with pytest.raises(InputError, match=f"'{name}' does not exist; allowed: .*odd.*use an even number"):
+        with pytest.raises(InputError, match=f"'{name}' does not exist; allowed: .*Try: an even number of cells"):
             mesh.node(name)
 
 

@@ -87,9 +87,9 @@ class Channel:
         factor, si = table.factor(column, self.unit)
         expected = unit(self.response)
         if si is not None and expected is not None and si != expected.replace("²", "2"):
-            raise InputError(
-                f"unit of {what} is of [{si or '-'}]; allowed: one of [{expected or '-'}], the unit of {self.response!r}"
-            )
+            allowed = f"one of [{expected or '-'}], the unit of {self.response!r}"
+            noun, shown = f"unit of {what}", f"of [{si or '-'}]"
+            raise InputError(("columns", column), si, allowed, noun=noun, shown=shown)
         numbers = table.columns[column]
         return numbers if factor == 1.0 else factor * numbers
 
@@ -101,7 +101,7 @@ def channels_of(channels: Any) -> dict[str, Channel]:
     result = {}
     for name, x in channels.items():
         if not isinstance(name, str) or not isinstance(x, (Channel, History)):
-            raise InputError(f"channel {name!r} is {x!r}; allowed: mbd.Channel(...), or a history")
+            raise InputError(("channels", name), x, "mbd.Channel(...), or a history", noun=f"channel {name!r}")
         result[name] = x if isinstance(x, Channel) else Channel(x)
     return result
 

@@ -172,7 +172,7 @@ class FitProblem:
         means, deviations = {}, {}
         for name, pair in priors.items():
             if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-                raise InputError(f"prior of {name} is {pair!r}; allowed: (mean, standard deviation)")
+                raise InputError(("prior", name), pair, "(mean, standard deviation)", noun=f"prior of {name}")
             means[name], deviations[name] = pair
         nothing = np.full(len(self.names), np.nan)
         mean = self.space.vector("prior", means, nothing, "mean of the prior")
@@ -180,7 +180,8 @@ class FitProblem:
         rows = np.flatnonzero(np.isfinite(mean))
         for row in rows:
             if not 0.0 < deviation[row] < np.inf:
-                raise InputError(f"deviation of the prior of {self.names[row]} is {deviation[row]:g}; allowed: above 0")
+                noun, value = f"deviation of the prior of {self.names[row]}", float(deviation[row])
+                raise InputError(("prior", self.names[row]), value, "above 0", noun=noun, shown=f"{value:g}")
         return rows, mean[rows], deviation[rows]
 
     @property
@@ -372,21 +373,23 @@ def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequ
     for name in names:
         if name not in every:
             hint = "; a plain number of a constructor becomes a parameter by mbd.variable(...)"
-            raise InputError(f"unknown {name!r} is no parameter{nearest(name, every)}{hint}")
+            rule = f"is no parameter{nearest(name, every)}{hint}"
+            raise InputError(("unknowns", name), rule=rule, noun=f"unknown {name!r}")
         parameters[name] = every[name]
         for key, x in experiments.items():
             of_system = dict(x.system.named_parameters())
             if name in x.settings:
-                raise InputError(f"experiment {key!r} sets {name!r}, an unknown; allowed: parameters that are none")
+                rule, noun = f"sets {name!r}, an unknown; allowed: parameters that are none", f"experiment {key!r}"
+                raise InputError(("unknowns", name), rule=rule, noun=noun)
             if any(name in measurement.sets for measurement in x.measurements):
-                raise InputError(
-                    f"unknown {name!r} is a load of experiment {key!r}, which is measured; allowed: others"
-                )
+                rule = f"is a load of experiment {key!r}, which is measured; allowed: others"
+                raise InputError(("unknowns", name), rule=rule, noun=f"unknown {name!r}")
             if name in of_system and of_system[name].shape != every[name].shape:
-                raise InputError(
-                    f"{name!r} has {of_system[name].numel()} entries in experiment {key!r}, and {every[name].numel()} in "
-                    "another; allowed: the same in all systems that have it"
+                rule = (
+                    f"has {of_system[name].numel()} entries in experiment {key!r}, and {every[name].numel()} in another; "
+                    "allowed: the same in all systems that have it"
                 )
+                raise InputError(("unknowns", name), rule=rule, noun=repr(name))
     return parameters
 
 
@@ -398,9 +401,8 @@ def _own_names(name: str, experiment: Experiment, parameters: dict[str, Any], se
             label = f"{name}.{local}" if several else local
             if id(x) not in known:
                 if label in parameters:
-                    raise InputError(
-                        f"{label!r} is a parameter of a system and an unknown of a channel; allowed: other names"
-                    )
+                    rule = "is a parameter of a system and an unknown of a channel; allowed: other names"
+                    raise InputError(("unknowns", label), rule=rule, noun=repr(label))
                 parameters[label] = x
                 known[id(x)] = label
             result[local] = known[id(x)]

@@ -118,7 +118,8 @@ def identify(
     )
     if (scale <= 0.0).any():
         wrong = int(np.flatnonzero(scale <= 0.0)[0])
-        raise InputError(f"scale of {problem.names[wrong]} is {scale[wrong]:g}; allowed: a positive number")
+        name, value = problem.names[wrong], float(scale[wrong])
+        raise InputError(("scale", name), value, "a positive number", noun=f"scale of {name}", shown=f"{value:g}")
     drawn = recipe(starts, problem.start).points(problem)
     points = np.array([checked_box(problem, point)[0] for point in drawn])  # pyright: ignore[reportArgumentType]
     settings = FitSettings(

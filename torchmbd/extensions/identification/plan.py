@@ -165,18 +165,9 @@ class _Maker:
                 return made
             return None
         except InputError as error:
-            text = str(error)
+            where, text = _place_in_table(error, data, channels), str(error)
         except OSError as error:
-            text = f"cannot be read: {error.strerror}"
-        columns = {channel: x.column or channel for channel, x in channels.items()}
-        named = [x for x in channels if f"{x!r}" in text or f"column {columns[x]!r}" in text]
-        where: FaultPath = ("channels", named[0]) if named else ("file",)
-        if not named and f"{getattr(data, 'time', None)!r}" in text:
-            where = ("time",)
-        if loads := [
-            x for x, column in getattr(data, "loads", {}).items() if f"{x!r}" in text or f"{column!r}" in text
-        ]:
-            where = ("loads", loads[0])
+            where, text = ("file",), f"cannot be read: {error.strerror}"
         self.faults.append(Fault((*path, key, *where), f": {text}"))
         return None
 
@@ -335,7 +326,7 @@ def read_identification(
         if others:
             problem.held_out(others)
     except InputError as error:
-        return [Fault(_place(str(error), unknowns), f": {error}")]
+        return [Fault(_place(error, unknowns), f": {error}")]
     more = {
         "unknowns": names,
         "scales": scales or None,
@@ -349,11 +340,23 @@ def read_identification(
     return IdentificationPlan(data, source, made, others, arguments | more, problem)
 
 
-def _place(text: str, unknowns: Mapping[str, Unknown]) -> FaultPath:
-    """The path of an error: at the unknown that it names, and at the key of it."""
-    named = max((name for name in unknowns if name in text), key=len, default=None)
-    if named is None:
+def _place(error: InputError, unknowns: Mapping[str, Unknown]) -> FaultPath:
+    """The path of an error about unknowns: at the unknown, and at the key of it that the file has."""
+    key, entry, *_ = (*error.path, "", "")
+    entry = str(entry).partition("[")[0] if entry not in unknowns else str(entry)
+    if entry not in unknowns:
         return ("identify",)
-    words = {"lower bound": "lower", "upper bound": "upper", "prior": "prior", "scale": "scale", "start": "start"}
-    key = next((key for word, key in words.items() if word in text and getattr(unknowns[named], key) is not None), None)
-    return ("identify", "unknowns", named) if key is None else ("identify", "unknowns", named, key)
+    has_key = key in ("lower", "upper", "prior", "scale", "start") and getattr(unknowns[entry], str(key)) is not None
+    return ("identify", "unknowns", entry, *([key] if has_key else []))
+
+
+def _place_in_table(error: InputError, data: Any, channels: Mapping[str, Channel]) -> FaultPath:
+    """The path below a measurement of an error about its file: at the channel, the time or the load that has the column."""
+    kind, name, *_ = (*error.path, "", "")
+    if kind == "columns":
+        columns = {channel: x.column or channel for channel, x in channels.items()}
+        places = [("channels", channel) for channel, column in columns.items() if column == name]
+        places += [("time",)] * (name == getattr(data, "time", None))
+        places += [("loads", load) for load, column in getattr(data, "loads", {}).items() if column == name]
+        return places[0] if places else ("file",)
+    return (kind, name)[: 1 + (kind != "time")] if kind in ("channels", "loads", "time") else ("file",)

@@ -60,14 +60,16 @@ class StaticCurve(Measurement):
         for name in self.loads:
             if name not in parameters:
                 hint = "; a plain number of a load becomes a parameter by mbd.variable(...)"
-                raise InputError(f"load {name!r} is no parameter{nearest(name, parameters)}{hint}")
+                rule = f"is no parameter{nearest(name, parameters)}{hint}"
+                raise InputError(("loads", name), rule=rule, noun=f"load {name!r}")
             if parameters[name].numel() != 1:
-                raise InputError(f"load {name!r} has {parameters[name].numel()} entries; allowed: a parameter of one")
+                rule = f"has {parameters[name].numel()} entries; allowed: a parameter of one"
+                raise InputError(("loads", name), rule=rule, noun=f"load {name!r}")
         for name, channel in self.channels.items():
             try:
                 channel.response.check(system)
             except InputError as error:
-                raise InputError(f"channel {name!r}: {error}") from None
+                raise InputError(("channels", name), rule=f": {error}", noun=f"channel {name!r}") from None
 
     @property
     def blocks(self) -> list[Block]:
@@ -142,24 +144,24 @@ def _load(table: Table, column: str) -> np.ndarray:
     wrong = np.flatnonzero(~np.isfinite(values))
     if not len(values) or len(wrong):
         where = table.row(int(wrong[0])) if len(wrong) else "data"
-        raise InputError(
-            f"{where}: load {column!r} is {values[wrong[:1]].tolist()}; allowed: a finite number in every row"
-        )
+        value, noun = values[wrong[:1]].tolist(), f"{where}: load {column!r}"
+        raise InputError(("columns", column), value, "a finite number in every row", noun=noun)
     return values
 
 
 def _check_channel(name: str, channel: Channel, present: np.ndarray) -> None:
+    path, noun = ("channels", name), f"channel {name!r}"
     if isinstance(channel.delay, nn.Parameter) or channel.delay:
-        raise InputError(f"channel {name!r} of a static curve has a delay; allowed: gain and offset")
+        raise InputError(path, rule="of a static curve has a delay; allowed: gain and offset", noun=noun)
     if not present.any():
-        raise InputError(f"channel {name!r} has gaps alone; allowed: one number at least")
+        raise InputError(path, rule="has gaps alone; allowed: one number at least", noun=noun)
     if isinstance(channel.deviation, np.ndarray) and len(channel.deviation) != len(present):
-        raise InputError(f"deviation of channel {name!r} has {len(channel.deviation)} values; allowed: {len(present)}")
+        rule = f"has {len(channel.deviation)} values; allowed: {len(present)}"
+        raise InputError((*path, "deviation"), channel.deviation, rule=rule, noun=f"deviation of {noun}", shown="")
     if _counts_from_start(channel.response):
-        raise InputError(
-            f"channel {name!r} is a displacement since the start, which a state at rest has not; allowed: mbd.Position, "
-            "with an offset, or the displacement of a node seen from its own body"
-        )
+        allowed = "mbd.Position, with an offset, or the displacement of a node seen from its own body"
+        shown = "a displacement since the start, which a state at rest has not"
+        raise InputError(path, channel.response, allowed, noun=noun, shown=shown)
 
 
 def _counts_from_start(response: History) -> bool:

@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.errors import Path as Keys
 from torchmbd.math.units import UNITS
 
 SEPARATORS = ",;\t"
@@ -59,7 +60,7 @@ class Table:
         keys = dict(zip(headings, data, strict=True))
         for name in names:
             if name not in headings:
-                raise InputError(f"column {name!r} does not exist{nearest(name, headings)}")
+                raise unknown("column", name, headings, ("columns", name))
             columns[name] = _numbers(name, data[keys[name]])
             units |= {name: unit} if (unit := headings[name]) else {}
         sizes = {name: len(x) for name, x in columns.items()}
@@ -75,18 +76,17 @@ class Table:
         """The factor from the unit of a column to SI, and the SI unit; None where no unit is given by either."""
         heading = self.units.get(name)
         if unit is not None and heading is not None and unit != heading:
-            raise InputError(
-                f"unit of column {name!r} is {unit!r}, and its heading says [{heading}]; allowed: one of them"
-            )
+            noun, shown = f"unit of column {name!r}", f"{unit!r}, and its heading says [{heading}]"
+            raise InputError(("columns", name), unit, "one of them", noun=noun, shown=shown)
         unit = unit or heading
-        return (1.0, None) if unit is None else UNITS[checked_unit(f"unit of column {name!r}", unit)]
+        return (1.0, None) if unit is None else UNITS[checked_unit(f"unit of column {name!r}", unit, ("columns", name))]
 
 
-def checked_unit(what: str, unit: Any) -> str:
-    """The name of a unit; InputError for one that is not known."""
+def checked_unit(what: str, unit: Any, path: Keys = ("unit",)) -> str:
+    """The name of a unit; InputError for one that is not known. `what`, `path`: words for it, and the keys to it."""
     plain = str(unit).replace("²", "2").replace("³", "3").replace("·", " ").replace("µ", "u")
     if plain not in UNITS:
-        raise InputError(f"{what} is {unit!r}{nearest(unit, UNITS)}")
+        raise InputError(path, unit, rule=f"is {unit!r}{nearest(unit, UNITS)}", noun=what, shown="")
     return plain
 
 
@@ -127,7 +127,7 @@ def _read(file: Path, names: Sequence[str]) -> Table:
         raise InputError(f"{file}, line 1: headings are {texts}; allowed: each name once")
     for name in names:
         if name not in headings:
-            raise InputError(f"{file}: column {name!r} does not exist{nearest(name, headings)}")
+            raise unknown(f"{file}: column", name, headings, ("columns", name))
     places = [list(headings).index(name) for name in names]
     options: dict[str, Any] = {"sep": separator, "usecols": places, "skipinitialspace": True, "encoding": "utf-8-sig"}
     try:
@@ -135,9 +135,9 @@ def _read(file: Path, names: Sequence[str]) -> Table:
     except pd.errors.EmptyDataError:
         raise InputError(f"{file} is empty; allowed: a line of names, and a line for each time") from None
     except ValueError as error:
-        raise InputError(_fault(file, separator, texts, places) or f"{file}: {error}") from error
+        raise (_fault(file, separator, texts, places) or InputError(f"{file}: {error}")) from error
     if not _is_regular(file, separator, len(texts)) and (fault := _fault(file, separator, texts, places)):
-        raise InputError(fault)
+        raise fault
     # By place: pandas has other names where spaces follow separators.
     columns = {
         name: _writable(frame.iloc[:, sorted(places).index(place)].to_numpy())
@@ -162,21 +162,21 @@ def _is_regular(file: Path, separator: str, fields: int) -> bool:
     return last == b"\n" or before == fields - 1
 
 
-def _fault(file: Path, separator: str, texts: Sequence[str], places: Sequence[int]) -> str | None:
-    """The first line of a file that cannot be read."""
+def _fault(file: Path, separator: str, texts: Sequence[str], places: Sequence[int]) -> InputError | None:
+    """The error of the first line of a file that cannot be read."""
     with open(file, newline="", encoding="utf-8-sig") as text:
         rows = csv.reader(text, delimiter=separator)
         next(rows)
         for row in rows:
             if row and len(row) != len(texts):
                 more = " (an empty field is a gap)" if len(row) < len(texts) else ""
-                return f"{file}, line {rows.line_num}: has {len(row)} fields; allowed: {len(texts)}{more}"
+                return InputError(f"{file}, line {rows.line_num}: has {len(row)} fields; allowed: {len(texts)}{more}")
             for place in places:
                 if row and not _is_number(row[place].strip()):
-                    return (
-                        f"{file}, line {rows.line_num}: column {texts[place]!r} is {row[place]!r}; "
-                        "allowed: a number, or an empty field for a gap"
-                    )
+                    name = list(_headings(texts))[place]
+                    noun = f"{file}, line {rows.line_num}: column {texts[place]!r}"
+                    allowed = "a number, or an empty field for a gap"
+                    return InputError(("columns", name), row[place], allowed, noun=noun)
     return None
 
 
@@ -196,13 +196,11 @@ def _numbers(name: str, x: Any) -> np.ndarray:
         numbers = np.asarray(x.detach() if isinstance(x, torch.Tensor) else x)
         result = np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"column {name!r} has entries that are no numbers ({error}); allowed: numbers, nan for a gap"
-        ) from None
+        rule = f"has entries that are no numbers ({error}); allowed: numbers, nan for a gap"
+        raise InputError(("columns", name), rule=rule, noun=f"column {name!r}") from None
     if result.ndim != 1 or numbers.dtype.kind not in "fiuO":
-        raise InputError(
-            f"column {name!r} has shape {numbers.shape} of {numbers.dtype}; allowed: one number for each row"
-        )
+        rule = f"has shape {numbers.shape} of {numbers.dtype}; allowed: one number for each row"
+        raise InputError(("columns", name), rule=rule, noun=f"column {name!r}")
     return _writable(result)
 
 

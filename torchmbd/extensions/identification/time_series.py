@@ -69,7 +69,7 @@ class TimeSeries(Measurement):
             try:
                 channel.response.check(system)
             except InputError as error:
-                raise InputError(f"channel {name!r}: {error}") from None
+                raise InputError(("channels", name), rule=f": {error}", noun=f"channel {name!r}") from None
 
     @property
     def blocks(self) -> list[Block]:
@@ -100,10 +100,11 @@ class TimeSeries(Measurement):
                 result.samples[name] = s
                 continue
             if not inside.any():
-                raise InputError(
-                    f"channel {name!r} has no sample within the motion, 0 to {duration:g} s, for a delay of {least:g} to "
-                    f"{most:g} s; allowed: other bounds of its delay, or another duration"
+                rule = (
+                    f"has no sample within the motion, 0 to {duration:g} s, for a delay of {least:g} to {most:g} s; allowed: "
+                    "other bounds of its delay, or another duration"
                 )
+                raise InputError(("channels", name), rule=rule, noun=f"channel {name!r}")
             deviation = None if s.deviation is None else s.deviation[inside]
             result.samples[name] = Samples(s.t[inside], s.y[inside], deviation, int((~inside).sum()))
         return result
@@ -115,7 +116,8 @@ class TimeSeries(Measurement):
             return float(delay), float(delay)
         least, most = limits[key]
         if not np.isfinite([least, most]).all():
-            raise InputError(f"bounds of {key} are ({least:g}, {most:g}) s; allowed: finite bounds of a delay")
+            rule = f"are ({least:g}, {most:g}) s; allowed: finite bounds of a delay"
+            raise InputError(("bounds", key), (least, most), rule=rule, noun=f"bounds of {key}", shown="")
         return least, most
 
     def predict(self, run: Run, unknowns: Mapping[str, Tensor]) -> Prediction:
@@ -161,39 +163,42 @@ def _times(table: Table, time: str) -> np.ndarray:
     """The column of times in seconds; InputError where they do not increase, with the line."""
     factor, si = table.factor(time, None)
     if si not in (None, "s"):
-        raise InputError(f"unit of the times {time!r} is of [{si}]; allowed: s, ms")
+        raise InputError("time", time, "s, ms", noun=f"unit of the times {time!r}", shown=f"of [{si}]")
     t = table.columns[time] if factor == 1.0 else factor * table.columns[time]
     if not len(t):
         raise InputError(f"data has no rows{f': {table.file}' if table.file else ''}; allowed: one time at least")
     wrong = np.flatnonzero(~np.isfinite(t))
     if len(wrong):
-        raise InputError(f"{table.row(int(wrong[0]))}: time {time!r} is {t[wrong[0]]:g}; allowed: a finite number")
+        noun, value = f"{table.row(int(wrong[0]))}: time {time!r}", float(t[wrong[0]])
+        raise InputError("time", value, "a finite number", noun=noun, shown=f"{value:g}")
     back = np.flatnonzero(np.diff(t) <= 0.0)
     if len(back):
         k = int(back[0]) + 1
-        raise InputError(f"{table.row(k)}: time {t[k]:.9g} s follows {t[k - 1]:.9g} s; allowed: times that increase")
+        rule = f"follows {t[k - 1]:.9g} s; allowed: times that increase"
+        raise InputError("time", float(t[k]), rule=rule, noun=f"{table.row(k)}: time {t[k]:.9g} s", shown="")
     if t[0] < 0.0:
-        raise InputError(f"{table.row(0)}: time is {t[0]:g} s; allowed: from 0 on, the start of the motion")
+        noun, allowed = f"{table.row(0)}: time", "from 0 on, the start of the motion"
+        raise InputError("time", float(t[0]), allowed, noun=noun, shown=f"{t[0]:g} s")
     return t
 
 
 def _samples(table: Table, t: np.ndarray, name: str, column: str, channel: Channel) -> Samples:
     """Numbers of a channel without its gaps."""
-    y = channel.si(f"channel {name!r}", table, column)
+    path, noun = ("channels", name), f"channel {name!r}"
+    y = channel.si(noun, table, column)
     deviation = channel.deviation
     if isinstance(deviation, np.ndarray) and len(deviation) != len(y):
-        raise InputError(
-            f"deviation of channel {name!r} has {len(deviation)} values; allowed: {len(y)}, or one for all"
-        )
+        rule = f"has {len(deviation)} values; allowed: {len(y)}, or one for all"
+        raise InputError((*path, "deviation"), deviation, rule=rule, noun=f"deviation of {noun}", shown="")
     present = np.isfinite(y)
     infinite = np.flatnonzero(np.isinf(y))
     if len(infinite):
         k = int(infinite[0])
-        raise InputError(f"{table.row(k)}: channel {name!r} is {y[k]:g}; allowed: finite numbers, nan for a gap")
+        allowed = "finite numbers, nan for a gap"
+        raise InputError(path, float(y[k]), allowed, noun=f"{table.row(k)}: {noun}", shown=f"{y[k]:g}")
     if not present.any():
-        raise InputError(
-            f"channel {name!r} has gaps alone: every row of column {column!r} is nan; allowed: one number at least"
-        )
+        rule = f"has gaps alone: every row of column {column!r} is nan; allowed: one number at least"
+        raise InputError(path, rule=rule, noun=noun)
     spread = None if deviation is None else np.broadcast_to(np.asarray(deviation, dtype=float), y.shape)
     if present.all():
         return Samples(t, y, spread)

@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, checked_signature
 from torchmbd.fem.mesh.mesh_checks import check, directed_area
 from torchmbd.math.checked_numbers import indices, reals, scalar
 from torchmbd.math.gradients import constant_arguments
@@ -110,12 +110,10 @@ class Mesh:
         if name not in self.node_sets:
             names = list(self.node_sets)
             shown = names if len(names) <= 30 else difflib.get_close_matches(str(name), names, n=8, cutoff=0.0)
-            error = unknown("node", name, shown)
+            why = ""
             if f"{name}_edge" in names or name == "center":
-                end = "" if str(error).endswith("?") else "."
-                why = "The number of cells along the edge is odd, so that no node is in its middle"
-                raise InputError(f"{error}{end} {why}: use an even number")
-            raise error
+                why = "an even number of cells along the edge: it is odd, and no node is in its middle"
+            raise InputError("node", name, shown, hint=why)
         return tuple(self.node_sets[name])
 
     @constant_arguments
