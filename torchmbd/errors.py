@@ -212,6 +212,10 @@ def true_or_false(name: str, value: Any) -> bool:
     return bool(value)
 
 
+class LoadWarning(UserWarning):
+    """Loads of a body are large beside its stiffness. A study tells it in its answer instead, once."""
+
+
 _kinds: ContextVar[set[str] | None] = ContextVar("kinds", default=None)  # of warnings, inside `warnings_once`
 _NUMBER = re.compile(r"(?<!\w)[-+]?\d[\d.,]*(?:e[-+]?\d+)?")  # not of a name: part_0 and part_1 are two bodies
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import torchmbd as mbd
-from torchmbd.optimization import Evaluation
+from torchmbd.optimization import Evaluation, MultistartResult
 from torchmbd.optimization.failures import are_many, counted, failures_text
 
 
@@ -56,6 +56,38 @@ def test_a_result_tells_failures_and_the_start(search: Any) -> None:
         assert f"{best.failures} of {best.analyses} evaluations failed, all of them: no state at t = " in told
         assert "better than the start, 1" in told
     assert failing.failing_text
+
+
+class Wall(Valley):
+    """The valley left of x = `limit`."""
+
+    def __init__(self, limit: float):
+        super().__init__(3.0)
+        self.limit = limit
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        slope = np.ones((1, 1))
+        return [
+            Evaluation(float((x - 1.0) ** 2), np.array([x - self.limit]), np.array([2.0 * (x - 1.0)]), slope)
+            for [x] in X
+        ]
+
+
+@pytest.mark.parametrize(
+    ("limit", "begin", "text"),
+    [
+        (-1.0, 0.0, "feasible, unlike the start, 1 (violation 1)"),  # its objective, 4, is larger
+        (0.5, 0.0, "better than the start, 1"),
+        (-3.0, 0.0, "less infeasible than the start, 1 (violation 3)"),  # the bound is -2
+    ],
+)
+def test_a_feasible_design_is_better_than_an_infeasible_start(limit: float, begin: float, text: str) -> None:
+    assert mbd.optimize(Wall(limit), "slsqp", start=np.array([begin])).gain_text == text
+
+
+def test_a_search_without_an_evaluation_has_no_design() -> None:
+    assert "no design was evaluated; 0 evaluations" in MultistartResult([], []).search_text
+    assert "no start ended with a feasible design" in mbd.multistart(Wall(-3.0), "slsqp").search_text
 
 
 def test_an_optimum_at_the_start_is_equal_to_it() -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from rich.console import Console
 
 import torchmbd as mbd
@@ -50,3 +52,32 @@ def test_numbers_of_a_study_are_of_one_model(tmp_path: Path, empty_store: Path) 
     assert "lower bound of bob.mass" in tags["active"]
     assert "active: lower bound of bob.mass" in output.getvalue()
     assert "none failed" in output.getvalue()
+
+
+@pytest.mark.thorough
+def test_a_study_tells_loads_in_its_answer_alone(recwarn: Any, tmp_path: Path, empty_store: Path) -> None:
+    """A cantilever of Euler's load 74 N is pressed by 30 N; its peaks of two measures rest on one assumption."""
+    stiffness = torch.diag(torch.tensor([2e5, 1e5, 1e5, 20.0, 30.0, 40.0], dtype=torch.float64))
+    section = mbd.GivenSection(stiffness, torch.diag(torch.tensor([2.0, 2, 2, 3e-3, 1e-3, 2e-3])))
+    column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(1.0, 4), section, modes=4, reference="start")
+    weight = mbd.RigidBody("weight", mbd.variable(1.0), (1e-3, 1e-3, 1e-3), position=(1.0, 0.0, 0.0))
+    joints = [
+        mbd.Fixed(mbd.Ground().at(), column.at("start"), name="foot"),
+        mbd.Fixed(column.at("end"), weight.at(), name="head"),
+    ]
+    push = mbd.Force(column.at("end"), (-30.0, 0.0, 0.0))
+    system = mbd.System([column, weight], joints, [push], truncation=None)
+    sway = (mbd.Max(mbd.StrainEnergy("column")), mbd.Max(abs(mbd.Displacement("column", "x", node="end"))))
+    problem = mbd.Problem(
+        system, 0.1, sway[0], [sway[1] <= 1.0], steps=40, bounds={"weight.mass": (0.5, 2.0)}, backend="eager"
+    )
+    study = StudySettings(problem, method="slsqp", max_iterations=1, name="column")
+    tracker = MlflowTracker("column", f"sqlite:///{shutil.copy(empty_store, tmp_path)}")
+    run_study(study, Console(file=io.StringIO()), tracker)
+    assert study.outcome is not None
+    assert study.outcome.verification is not None
+    peaks, loads = study.outcome.verification.notes
+    assert peaks.count("assumes") == 1
+    assert "column" in peaks
+    assert "stiffening=True" in loads
+    assert not [x for x in recwarn if "of its stiffness" in str(x.message)]

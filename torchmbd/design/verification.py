@@ -123,12 +123,11 @@ def verification(
         faults = _faults_of_gain(gained, claimed) + _faults_of_constraints(responses, 1)
         faults += [] if robust else _faults_of_order(simulated, responses, value, others)
     except MbdError as error:
-        return Verification((), math.nan, math.nan, (str(error),), "see the how-to page on errors of responses")
-    notes = [f"{words(response.measure)}: {response.error.note}" for response in responses if response.error.note]
+        where = "see the how-to page on errors of responses"
+        return Verification((), math.nan, math.nan, (str(error),), where, tuple(load_notes(simulated, x)))
+    notes = _notes_of_errors(responses)
     notes += dict.fromkeys(text for response in responses for text in response.error.unknown)
-    notes += dict.fromkeys(
-        text for simulation, _ in simulated.cases(x[None]) for text in notes_of_loads(simulation.system)
-    )
+    notes += load_notes(simulated, x)
     if robust:
         text = "the change of the objective is that of its {} over the tolerances, with the errors of the nominal design; {}"
         notes.append(text.format(_RULES[problem.kind], "the other values and errors are those of the nominal design"))
@@ -139,6 +138,21 @@ def verification(
         todo = f"{advice(simulated, max(fault.need for fault in faults), causes)}, and the search again"
     answers = tuple(response.answer for response in responses)
     return Verification(answers, changes[0], changes[1], tuple(fault.text for fault in faults), todo, tuple(notes))
+
+
+def load_notes(problem: Problem, x: np.ndarray) -> list[str]:
+    """Return a sentence on each body whose loads were large in the motions of a design x [n]."""
+    texts = (text for simulation, _ in problem.cases(x[None]) for text in notes_of_loads(simulation.system))
+    return list(dict.fromkeys(texts))
+
+
+def _notes_of_errors(responses: Sequence[_Response]) -> list[str]:
+    """Return what the estimated errors assume: each assumption once, with the responses that have it."""
+    names: dict[str, list[str]] = {}
+    for response in responses:
+        if response.error.note:
+            names.setdefault(response.error.note, []).append(words(response.measure))
+    return [f"{', '.join(dict.fromkeys(of_note))}: {note}" for note, of_note in names.items()]
 
 
 _RULES = {"worst": "worst case", "expected": "mean"}

@@ -164,19 +164,26 @@ def convergence_figure(results: Sequence[OptimizationResult], best: Optimization
 
 
 def gain_text(result: OptimizationResult, first: Iterate | None) -> str:
-    """Return whether a result is better than the start `first`, whose objective and violation are told."""
+    """Return whether a result is better than the start `first`, with the objective of the start and its violation.
+
+    A feasible design is better than an infeasible one, whatever their objectives; of two infeasible ones that of less violation.
+    """
     if first is None or not math.isfinite(first.objective) or not math.isfinite(result.value):
         return "the start could not be evaluated"
-    word = (
-        "better than"
-        if result.value < first.objective
-        else "worse than"
-        if result.value > first.objective
-        else "equal to"
-    )
-    violated = first.violation > result.feasibility
-    beyond = f", which violates a constraint by {first.violation:.3g}" if violated else ""
-    return f"{word} the start, {result.sign * first.objective:.6g}{beyond}"
+    start = f"the start, {result.sign * first.objective:.6g}"
+    violated, start_violated = result.violation > result.feasibility, first.violation > result.feasibility
+    if start_violated:
+        start += f" (violation {first.violation:.3g})"
+    if violated != start_violated:
+        return f"infeasible, unlike {start}" if violated else f"feasible, unlike {start}"
+    words = ("better than", "worse than", "equal to")
+    pair = (result.value, first.objective)
+    if violated:
+        words, pair = (
+            ("less infeasible than", "more infeasible than", "as infeasible as"),
+            (result.violation, first.violation),
+        )
+    return f"{words[0] if pair[0] < pair[1] else words[1] if pair[0] > pair[1] else words[2]} {start}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -245,7 +252,7 @@ class OptimizationResult(Summary):
             ("KKT residual", f"{self.kkt_residual:.2g}"),
             ("x", few([f"{name} = {x:.6g}" for name, x in zip(names, self.x, strict=True)])),
             ("method", f"{self.method}, {self.iterations} iterations"),
-            ("evaluations", failures_text(self.analyses, self.reasons)),
+            ("failures", failures_text(self.analyses, self.reasons)),
         ]
 
     @property

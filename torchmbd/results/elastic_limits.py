@@ -53,7 +53,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from torchmbd.errors import warn
+from torchmbd.errors import LoadWarning, warn
 from torchmbd.fem.elements import GivenElements
 from torchmbd.math.pair import matvec_t, value
 from torchmbd.math.rotation import skew
@@ -203,7 +203,8 @@ def warn_of_loads(motion: Trajectory) -> None:
             warn(  # few different texts: Python shows each once in an optimization
                 f"body {name!r}: tension and pressure of its loads are {share:.1g} of its stiffness, which linear elastic "
                 "displacements leave out, and its deflections are off by a part of this size; allowed: stiffening=True, "
-                "or a reference in its middle, where the part is smaller"
+                "or a reference in its middle, where the part is smaller",
+                LoadWarning,
             )
 
 

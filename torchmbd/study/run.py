@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Sequence
-from contextlib import ExitStack
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -20,7 +21,9 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from torchmbd.errors import warnings_once
+from torchmbd.design import Problem
+from torchmbd.design.verification import load_notes
+from torchmbd.errors import LoadWarning, warnings_once
 from torchmbd.optimization import DiscreteResult, Iterate, MultistartResult
 from torchmbd.optimization.cache import CachedProblem
 from torchmbd.optimization.multistart import multistart
@@ -124,7 +127,8 @@ def run_study(
             elif study.front:
                 result, status = run_front(study, cached, lanes, journal, console)
             else:
-                result, status, verified = _search(study, cached, stores, lanes, journal, console)
+                with _load_warnings_in_answer(study):
+                    result, status, verified = _search(study, cached, stores, lanes, journal, console)
         except KeyboardInterrupt:
             status = "KILLED"
         finally:
@@ -136,6 +140,15 @@ def run_study(
         known = f", {cached.hits} of {cached.hits + cached.computed} evaluations known" if cached.hits else ""
         code = record.tell_outcome(status, known, workers=workers, scheduler=scheduler)
         return code or (0 if verified is None or verified.verified else UNVERIFIED)
+
+
+@contextmanager
+def _load_warnings_in_answer(study: StudySettings) -> Iterator[None]:
+    """Leave out warnings of loads, which the answer of a study of simulations tells."""
+    with warnings.catch_warnings():
+        if isinstance(study.simulated, Problem):
+            warnings.simplefilter("ignore", LoadWarning)
+        yield
 
 
 def _trouble(stores: Sequence[Evaluations]) -> str | None:
@@ -220,6 +233,9 @@ def _search(
     if best is not None and not interrupted:
         last = result.best
         verified = verify_best(study, best if last is None else last, outcome, result is outcome, journal, console)
+    if verified is None and isinstance(study.simulated, Problem):
+        for note in load_notes(study.simulated, study.simulated.start if best is None else best.x):
+            console.print(f"({note})", soft_wrap=True, highlight=False, markup=False)
     visited = stores[-1].visited(len(study.simulated.start))
     save_pictures(study, outcome, visited, journal, console)
     if interrupted:

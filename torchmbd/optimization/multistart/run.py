@@ -10,6 +10,7 @@ Source: Boender and Rinnooy Kan, Bayesian stopping rules for multistart global o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -137,7 +138,7 @@ class MultistartResult(Summary):
 
     def _summary(self) -> list[tuple[str, Any]]:
         best = self.best
-        text = "none is feasible"
+        text = self._no_best_text
         if best is not None:
             text = f"{best.sign * best.value:.8g}, start {best.start} ({best.status}), {gain_text(best, self._first)}"
         values = few([f"{minimum.value:.6g}" for minimum in self.minima])
@@ -146,13 +147,19 @@ class MultistartResult(Summary):
             ("best", text),
             ("active", "-" if best is None else few(best.active) if best.active else "no constraint and no bound"),
             ("minima", f"{len(self.minima)}: {values}" if self.minima else "none"),
-            ("evaluations", failures_text(self.analyses, self.reasons)),
+            ("failures", failures_text(self.analyses, self.reasons)),
         ]
 
     @property
     def _first(self) -> Iterate | None:
         """The start of the first search, with which the best design is compared."""
         return next((r.history[0] for r in self.results if r.start == 0 and r.history), None)
+
+    @property
+    def _no_best_text(self) -> str:
+        """Why there is no best design."""
+        known = any(math.isfinite(result.violation) for result in self.results)
+        return "no start ended with a feasible design" if known else "no design was evaluated"
 
     @property
     def reasons(self) -> dict[str, int]:
@@ -166,7 +173,7 @@ class MultistartResult(Summary):
         ending = f"{self.converged} of {many} starts converged"
         if best is not None and not best.converged:
             ending += f", the best did not ({best.status}: {best.message})"
-        gain = "no start is feasible" if best is None else gain_text(best, self._first)
+        gain = self._no_best_text if best is None else gain_text(best, self._first)
         return f"{ending}; {gain}; {failures_text(self.analyses, self.reasons)}"
 
     @property
