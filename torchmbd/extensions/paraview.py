@@ -60,11 +60,9 @@ def _fibers(mesh: Any, plates: Iterable[Any]) -> dict[str, np.ndarray]:
     """Direction of the fibers of each layer from the bottom, "fiber_1", ...; zero where a cell has fewer layers."""
     fields: dict[str, np.ndarray] = {}
     for part in plates:
-        angles, matrices = part.laminate.layer_angles.detach(), part.matrices
-        for k, theta in enumerate(angles.unbind(-1)):
-            angle = (theta[matrices.zones] if theta.ndim else theta)[..., None]
-            direction = angle.cos() * matrices.axes[:, 0] + angle.sin() * matrices.axes[:, 1]
-            fields.setdefault(f"fiber_{k + 1}", np.zeros((_cell_count(mesh), 3)))[matrices.members] = direction
+        for k, direction in enumerate(part.fibers()):
+            field = fields.setdefault(f"fiber_{k + 1}", np.zeros((_cell_count(mesh), 3)))
+            field[part.matrices.members] = direction
     return fields
 
 

@@ -166,7 +166,7 @@ def convergence_figure(results: Sequence[OptimizationResult], best: Optimization
 def gain_text(result: OptimizationResult, first: Iterate | None) -> str:
     """Return whether a result is better than the start `first`, with the objective of the start and its violation.
 
-    A feasible design is better than an infeasible one, whatever their objectives; of two infeasible ones that of less violation.
+    A feasible design is better than an infeasible one, whatever their objectives. Violations compare two infeasible ones.
     """
     if first is None or not math.isfinite(first.objective) or not math.isfinite(result.value):
         return "the start could not be evaluated"

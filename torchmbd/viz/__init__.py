@@ -12,6 +12,7 @@ from torchmbd.viz.animation import animate
 from torchmbd.viz.criteria import criteria_over_iterations, criteria_over_time, weighted_parts
 from torchmbd.viz.design_map import design_map
 from torchmbd.viz.failure_map import failure_map
+from torchmbd.viz.fibers import fibers
 from torchmbd.viz.figures import convergence, criterion, energy_over_time, save
 from torchmbd.viz.film import film
 from torchmbd.viz.parallel_coordinates import parallel_coordinates
@@ -25,6 +26,7 @@ __all__ = [
     "design_map",
     "energy_over_time",
     "failure_map",
+    "fibers",
     "film",
     "parallel_coordinates",
     "save",

@@ -32,6 +32,7 @@ from torchmbd.fem.elements.shell_geometric import stressed_shells
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.materials.isotropic_mean import present_mean
 from torchmbd.fem.mesh import MaterialAxes, Mesh
+from torchmbd.fem.mesh.material_axes import rule_of
 from torchmbd.math.sparse import Pattern
 
 MASSES = ("lumped", "consistent")
@@ -40,7 +41,8 @@ MASSES = ("lumped", "consistent")
 class Plates:
     """One laminate on cells of a mesh (default: all), or several of the same plies, each on its own cells.
 
-    direction   the laminate's x-axis in mesh axes: [3], one for each cell of the mesh [m, 3], or a rule (mbd.mesh.around)
+    direction   the laminate's x-axis in mesh axes: [3], one for each cell of the mesh [m, 3], or a rule (mbd.mesh.around), also
+                as a mapping, {"around": {"axis": [0, 0, 1]}}
     cells       numbers of the cells that are made of it
     mass        "lumped" or "consistent"
     zones       which of several laminates each of the cells is made of
@@ -50,13 +52,15 @@ class Plates:
         self,
         mesh: Mesh,
         laminate: Laminate | Sequence[Laminate],
-        direction: Sequence[float] | Tensor | MaterialAxes = (1.0, 0.0, 0.0),
+        direction: Sequence[float] | Tensor | MaterialAxes | Mapping[str, Any] = (1.0, 0.0, 0.0),
         cells: Sequence[int] | Tensor | None = None,
         mass: str = "lumped",
         zones: Int[Tensor, " cells"] | None = None,
     ) -> None:
         if mass not in MASSES:
             raise unknown("mass", mass, MASSES)
+        if isinstance(direction, Mapping):
+            direction = rule_of(direction)
         if isinstance(direction, MaterialAxes):
             direction = direction.of_cells(mesh)
         several = isinstance(laminate, Sequence)
@@ -100,6 +104,14 @@ class Plates:
     def matrices(self) -> PlateMatrices:
         """Stiffness and areas of the cells."""
         return PlateMatrices(self.mesh, self.laminates[0].mean_laminate, self.direction, self.cells, self._zones)
+
+    def fibers(self) -> list[Float[Tensor, "cells 3"]]:
+        """Directions of the fibers of each layer, from the bottom: unit vectors in the cells `matrices.members`, mesh axes."""
+        matrices, directions = self.matrices, []
+        for theta in self.laminate.layer_angles.detach().unbind(-1):
+            angle = (theta[matrices.zones] if theta.ndim else theta)[..., None]
+            directions.append(angle.cos() * matrices.axes[:, 0] + angle.sin() * matrices.axes[:, 1])
+        return directions
 
     @property
     def pattern(self) -> Pattern:

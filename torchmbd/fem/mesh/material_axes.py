@@ -4,6 +4,7 @@
     cylindrical    e_r, e_theta, e_z           z is the third column, theta from the first
     along          tangent of the nearest point of a curve, normal of the cell x tangent
 
+A rule may be a mapping, as an experiment file has it: {"around": {"axis": [0, 0, 1]}}.
 The direction is the first of the axes, from the one that is named, that is not normal to the cell: a rib across a cylinder has
 no direction around it and takes the next axis of the system.
 Lengths in m; all in mesh axes. Constants: a direction has no gradient by the nodes of the mesh.
@@ -13,8 +14,9 @@ Checked in tests/fem/mesh/test_material_axes.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -53,6 +55,19 @@ class MaterialAxes:
             )
         first = good.double().argmax(1)
         return axes[torch.arange(len(axes)), first]
+
+
+def rule_of(mapping: Mapping[str, Any]) -> MaterialAxes:
+    """Return the rule that a mapping names, with its arguments: {"along": {"points": ...}}; InputError for others."""
+    rules: dict[str, Callable[..., MaterialAxes]] = {"around": around, "along": along, "in_system": in_system}
+    if len(mapping) != 1 or not isinstance(next(iter(mapping.values())), Mapping):
+        raise InputError(
+            f"direction = {dict(mapping)!r}: must be one rule with its arguments, such as around: {{axis: ...}}"
+        )
+    [(name, arguments)] = mapping.items()
+    if name not in rules:
+        raise unknown("rule of direction", name, rules)
+    return rules[name](**arguments)
 
 
 @checked_signature

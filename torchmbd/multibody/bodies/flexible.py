@@ -197,7 +197,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass: str = "lumped",
         rigid: Sequence[str | Sequence[int]] = (),
         stiffening: bool = False,
-        direction: Sequence[float] | Tensor | MaterialAxes = (1.0, 0.0, 0.0),
+        direction: Sequence[float] | Tensor | MaterialAxes | Mapping[str, Any] = (1.0, 0.0, 0.0),
     ) -> FlexibleBody:
         """A laminated plate or shell.
 
@@ -218,7 +218,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         rigid           node sets that move as one rigid body each
         stiffening      True: displacements of second order, so that spin and forces of joints stiffen it (stiffening.py)
         direction       the laminate's x-axis in mesh axes, projected into each cell: [3], one for each [m, 3], or a rule for
-                        curved shells: mbd.mesh.around, mbd.mesh.along, mbd.mesh.in_system
+                        curved shells: mbd.mesh.around, mbd.mesh.along, mbd.mesh.in_system, or {"around": {"axis": [0, 0, 1]}}
         """
         parts = {"plate": Plates(mesh, laminate, direction, mass=mass)}
         options = (position, axes, reference, damping, reduction, interface, updated, (), rigid, stiffening)
