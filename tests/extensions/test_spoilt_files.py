@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 import torchmbd as mbd
-from tests.extensions import test_windio
+from tests.extensions import test_windio, test_windio_versions
 from tests.extensions.meshes import test_mesh_file
 from tests.extensions.nastran import test_nsm
 from tests.extensions.nastran.bdf_models import model
@@ -134,6 +134,11 @@ READERS: dict[str, tuple[Callable[[Path], Any], str, str]] = {
     "urdf": (urdf_robot, "arm.urdf", test_urdf.TEXT),
     "mjcf": (mjcf_robot, "arm.xml", test_mjcf.MECHANISM.replace("><", ">\n<")),
     "windio": (lambda path: mbd.read_windio(path).section(0.5, cells=12, order=1), "blade.yaml", _windio()),
+    "windio_2": (
+        lambda path: mbd.read_windio(path).section(0.5, cells=12, order=1),
+        "blade.yaml",
+        yaml.safe_dump(test_windio_versions.version_2()),
+    ),
     "beamdyn": (mbd.read_beamdyn, "blade.inp", _beamdyn()),
 }
 

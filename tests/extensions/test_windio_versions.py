@@ -253,6 +253,27 @@ def test_structures_that_are_refused(change, words, tmp_path):
 
 
 @pytest.mark.thorough
+def test_entries_of_a_wrong_kind_are_named(tmp_path):
+    """Each entry of an anchor, and of what refers to one, as None and as a number."""
+    data = version_2()
+    structure = parts(data)[1]
+    cases = [(anchor, key) for anchor in structure["anchors"][1::2] for key in anchor]
+    cases += [(structure["webs"][0], "anchors"), (named(structure["anchors"], "edge")["width"], "defines")]
+    cases += [(structure["layers"][1]["start_nd_arc"]["anchor"], key) for key in ("name", "handle")]
+    cases += [(structure["layers"][1]["thickness"], "grid")]
+    for entry, key in cases:
+        kept = entry[key]
+        for wrong in (None, 3):
+            if (key, wrong) == ("anchors", None):
+                continue
+            entry[key] = wrong
+            with pytest.raises(InputError, match=r"blade\.yaml"):
+                read(tmp_path, data).section(0.5, cells=6, order=1)
+        entry[key] = kept
+    read(tmp_path, data).section(0.5, cells=6, order=1)
+
+
+@pytest.mark.thorough
 def test_parts_that_are_not_made_are_warned_of(tmp_path):
     data = version_2()
     parts(data)[1]["trailing_edge_adhesive"] = {"material": "foam"}

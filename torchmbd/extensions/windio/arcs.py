@@ -23,6 +23,7 @@ _OTHER = {"start": "end", "end": "start"}
 _SIGN = {"start": -1.0, "end": 1.0}
 _ROUNDING = 1e-6  # of a web: a layer with an end as near to the web's reaches it
 _HANDLES = ("start_nd_arc", "end_nd_arc", "midpoint_nd_arc")
+_LENGTHS = ("offset_nd_arc", "offset_arc", "width")
 
 
 class LayerArcs:
@@ -71,6 +72,18 @@ class AnchorArcs:
 
     def __init__(self, layers: Mapping[str, Any], webs: Mapping[str, Any], anchors: Mapping[str, Any]) -> None:
         self._layers, self._webs, self._anchors = layers, webs, anchors
+        self._of_webs = {name: {x["name"]: x for x in web.get("anchors") or []} for name, web in webs.items()}
+        for name, anchor in (*anchors.items(), *(x for known in self._of_webs.values() for x in known.items())):
+            for key in (*_HANDLES, *_LENGTHS):
+                if key in anchor and not isinstance(anchor[key], Mapping):
+                    raise InputError(
+                        f"{key} of anchor {name!r} = {anchor[key]!r}: must have grid and values, or an anchor"
+                    )
+            defines = anchor.get("width", {}).get("defines", [])
+            if not isinstance(defines, list):
+                raise InputError(
+                    f"defines in width of anchor {name!r} = {defines!r}: must be a list of {', '.join(_HANDLES)}"
+                )
 
     def web(self, name: str, side: str, position: float, profile: Profile) -> float:
         """Return the position along the contour where a web starts or ends."""
@@ -90,7 +103,7 @@ class AnchorArcs:
     def whole_web(self, name: str, position: float) -> None:
         """InputError where a layer covers a part of its web."""
         layer = self._layers[name]
-        anchors = {anchor["name"]: anchor for anchor in self._webs[layer["web"]].get("anchors") or []}
+        anchors = self._of_webs[layer["web"]]
         for side, expected in TRAILING_EDGE.items():
             entry = f"{side}_nd_arc of layer {name!r}"
             if f"{side}_nd_arc" not in layer:
@@ -136,7 +149,7 @@ class AnchorArcs:
             if offset is not None and offset.get("defines") == handle:
                 return other(offset) + span_values(f"{key} of anchor {name!r}", offset)(position) / unit
         width = anchor.get("width")
-        if width is not None and handle in (width.get("defines") or ()):
+        if width is not None and handle in width.get("defines", []):
             side = handle.partition("_")[0]
             share = span_values(f"width of anchor {name!r}", width)(position, 0.0) / profile.around
             if "midpoint_nd_arc" in anchor:
@@ -152,7 +165,8 @@ class AnchorArcs:
 
 def _reference(owner: str, entry: Any) -> tuple[str, str]:
     """Return name and handle of a reference to an anchor."""
-    try:
-        return entry["anchor"]["name"], entry["anchor"]["handle"]
-    except (KeyError, TypeError):
-        raise InputError(f"{owner} = {entry!r}: must be an anchor, with name and handle") from None
+    anchor = entry.get("anchor") if isinstance(entry, Mapping) else None
+    name, handle = (anchor.get(key) if isinstance(anchor, Mapping) else None for key in ("name", "handle"))
+    if not isinstance(name, str) or not isinstance(handle, str):
+        raise InputError(f"{owner} = {entry!r}: must be an anchor, with name and handle")
+    return name, handle

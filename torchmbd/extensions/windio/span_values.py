@@ -37,7 +37,8 @@ def span_values(name: str, table: Mapping[str, Any], unit: float = 1.0) -> SpanV
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{name}: {error!r}; allowed: grid and values, numbers") from None
     if grid.ndim != 1 or grid.shape != values.shape or len(grid) < 1 or not (np.diff(grid) >= 0.0).all():
-        raise InputError(f"{name} has grid {grid.tolist()[:5]} and {values.size} values; allowed: as many, rising")
+        first = np.atleast_1d(grid).tolist()[:5]
+        raise InputError(f"{name} has grid {first} and {values.size} values; allowed: as many, rising")
     if not (np.isfinite(grid).all() and np.isfinite(values).all()):
         raise InputError(f"{name} has numbers that are not finite; allowed: finite ones")
     return SpanValues(grid, unit * values)
