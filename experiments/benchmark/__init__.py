@@ -3,7 +3,7 @@
 __main__   lists the parts and runs them; a part is a function (settings) -> Result in the file of its name:
            `python -m experiments.benchmark --quick pendulum`
 parts      motion, chains, beams, load_cases, multistart, study, evaluate, batches, adjoint, angles, segments, stiffening,
-           integrators, errors, campbell, chosen_steps, costs, methods, cores, couplings, large
+           integrators, errors, campbell, chosen_steps, costs, methods, cores, couplings, large, tube
 cases      the mechanisms; report: what a part returns; processes: fresh processes
 elements   accuracy of elements, large meshes: `python -m experiments.benchmark.elements bending`
 modes      modes and their derivatives: `python -m experiments.benchmark.modes --no-large`

@@ -34,6 +34,8 @@ Parts (default: all):
     large           a plate and a wing box of 14,000 to 117,000 freedoms (--bodies: up to 500,000) beside CHOLMOD and eigsh
     campbell        frequencies of a blade at 50 speeds, and their gradient by 100 variables
     chosen-steps    an optimization with steps by these errors over one with fixed steps
+    tube            designs of a round tube that fail, for any number of modes, and a search from its start
+    tube-starts     searches of the round tube from four starts
     methods         methods of optimization on ten problems whose optima are known (--problems, --methods)
 
 One torch thread. Compiled code that is missing is built first (kept in the cache); not with --quick, which also takes smaller
@@ -77,6 +79,7 @@ from experiments.benchmark.report import Result, Settings, machine
 from experiments.benchmark.segments import segments
 from experiments.benchmark.stiffening import stiffening
 from experiments.benchmark.study import study
+from experiments.benchmark.tube import round_tube, tube_starts
 from experiments.peers import exudyn_peer
 from torchmbd.optimization.optimizer import OPTIMIZERS
 
@@ -113,6 +116,8 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "large": large,
     "campbell": campbell,
     "chosen-steps": chosen_steps,
+    "tube": round_tube,
+    "tube-starts": tube_starts,
     "methods": methods,
 }
 FIGURES = (

@@ -19,6 +19,7 @@ from experiments.benchmark import multistart as benchmark_multistart
 from experiments.benchmark import processes, stages
 from experiments.benchmark import segments as benchmark_segments
 from experiments.benchmark import study as benchmark_study
+from experiments.benchmark import tube as benchmark_tube
 from experiments.benchmark.cases import Case, compilation, compiled_ready, crank3, interleaved, loops, motion, pendulum
 from experiments.benchmark.report import Result, Settings
 from experiments.peers import exudyn_peer
@@ -253,6 +254,12 @@ def test_an_optimization_by_chosen_steps_is_measured_beside_one_by_given_steps()
     assert ratio == pytest.approx(chosen / given)
     assert value == other
     assert result.figures == {"chosen_steps_ratio": None}
+
+
+@pytest.mark.thorough
+def test_no_design_of_a_round_tube_fails_by_its_number_of_modes():
+    table, _ = benchmark_tube.round_tube(Settings(quick=True)).tables
+    assert [row[:3] for row in table.rows] == [["first tube", 6, 0], ["second tube", 5, 0]]
 
 
 def test_an_unknown_part_is_refused_with_the_names_of_all(capsys):
