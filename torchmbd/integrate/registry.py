@@ -50,7 +50,8 @@ def integrator_of(method: Any, options: Mapping[str, Any], argument_names: Colle
     argument_names  the other arguments of the function that takes the options, of which one may be meant
     """
     if isinstance(method, str) and method in REFUSED:
-        raise InputError("method", method, "any other", shown=f"{method!r}, which {REFUSED[method]}")
+        rule = f"{REFUSED[method]}; allowed: any other"
+        raise InputError("method", method, rule=rule, noun=f"method {method!r}", shown="")
     if not isinstance(method, str) or method not in INTEGRATORS:
         raise unknown("method", method, METHODS)
     allowed = INTEGRATORS[method].option_types()
