@@ -185,7 +185,7 @@ def list_(folder: Path | None = None, *, uri: Uri = None) -> int:
 
     if folder is not None and not folder.is_dir():
         raise InputError(
-            f"folder = {str(folder)!r}: is no folder; allowed: one that exists, default configs, else this folder"
+            f"folder = {str(folder)!r}: must be a folder that exists. Try: no folder, which lists configs or the present folder"
         )
     console = Console()
     print_configs(folder or (path if (path := Path("configs")).is_dir() else Path()), console)

@@ -236,8 +236,14 @@ def test_links_with_offsets_and_symmetric_laminates():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"links": {f"{ANGLES}[2]": {}}}, ["rod.laminate.angles[2] is no entry of a design variable", "did you mean"]),
-        ({"links": {f"{ANGLES}[1]": {f"{ANGLES}[1]": 1.0}}}, ["is no entry that follows none itself", "allowed"]),
+        (
+            {"links": {f"{ANGLES}[2]": {}}},
+            ["rod.laminate.angles[2] is not an entry of a design variable", "did you mean"],
+        ),
+        (
+            {"links": {f"{ANGLES}[1]": {f"{ANGLES}[1]": 1.0}}},
+            ["must be an entry that does not follow others", "allowed"],
+        ),
         ({"links": {f"{ANGLES}[1]": 3.0}}, ["link of 'rod.laminate.angles[1]' is 3.0", "mapping"]),
         ({"links": {f"{ANGLES}[{i}]": {"constant": 0.0} for i in (0, 1)}}, ["links leave no entry free", "allowed"]),
         ({"bounds": {"rod.laminate.angle": (0, 1)}}, ["lower bound of parameter 'rod.laminate.angle'", "did you mean"]),

@@ -21,7 +21,7 @@ def wing() -> wing_body.Wing:
 def test_it_is_read_unedited(wing):
     """One message lists what was left out; every stack has its angles."""
     assert len(wing.body.mesh.quads) == 9236
-    assert sum("cards that are no structure are left out" in text for text in wing.messages) == 1
+    assert sum("cards that do not describe structure are left out" in text for text in wing.messages) == 1
     assert len(wing.laminates) == 62
     assert all(len(laminate.angles) == 10 for laminate in wing.laminates.values())
 

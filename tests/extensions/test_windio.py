@@ -212,7 +212,12 @@ def test_a_blade_of_one_airfoil(blade):
         ([FULL[0], FULL[0]], [], {}, "layer 'outer' stands twice"),
         ([{"name": "outer", "thickness": along(1e-3)}], [], {}, "layer 'outer' has no material"),
         (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": 0.3} for k in ("root", "tip")]}, "'coordinates'"),
-        (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": "x"} for k in ("root", "tip")]}, "is no windIO"),
+        (
+            FULL,
+            WEBS,
+            {"airfoils": [{"name": k, "relative_thickness": "x"} for k in ("root", "tip")]},
+            "is not a windIO",
+        ),
         (FULL, WEBS, {"airfoils": [{"name": "root", "relative_thickness": float("nan")}] * 2}, "'root' stands twice"),
     ],
 )
@@ -262,7 +267,7 @@ def test_files_that_are_no_blade(tmp_path, blade):
     for text in ("", "[1, 2", "a: {b: c}", "components: {blade: 3}", "&a [*a]", "\x00"):
         path = tmp_path / "x.yaml"
         path.write_text(text)
-        with pytest.raises(InputError, match=r"x\.yaml is no windIO blade"):
+        with pytest.raises(InputError, match=r"x\.yaml is not a windIO blade"):
             mbd.read_windio(path)
     with pytest.raises(InputError, match=r"path is '.*none\.yaml'; allowed: a windIO file that exists"):
         mbd.read_windio(tmp_path / "none.yaml")

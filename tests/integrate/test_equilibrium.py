@@ -174,7 +174,7 @@ def test_bad_starts_are_named():
         ({"rod.modal": [1.0]}, r"'rod.modal' is \[1.0\]; allowed: finite float64 numbers \[2\]"),
         ({"rod.mode": [1.0, 0.0]}, "in start the quantity 'rod.mode'"),
         ({"arm.modal": [1.0, 0.0]}, "in start the quantity 'arm.modal'"),
-        ({"arm.axes": [[1.0, 0, 0], [0, 2.0, 0], [0, 0, 1.0]]}, "'arm.axes' is no rotation"),
+        ({"arm.axes": [[1.0, 0, 0], [0, 2.0, 0], [0, 0, 1.0]]}, "'arm.axes' is not a rotation"),
         ({"arm.velocity": [math.nan, 0.0, 0.0]}, "'arm.velocity'.*finite"),
         (mbd.equilibrium(cantilever(gravity=1.0)), "start is a motion of 13 coordinates"),
     ):

@@ -165,7 +165,7 @@ def test_a_cluster_that_cannot_be_used_ends_a_study_at_once(slurm, folder, monke
         assert message in capsys.readouterr().err
     monkeypatch.setenv("PATH", str(slurm))
     assert cli.main(["run", "study.yaml", "--scheduler", str(write(slurm)), "--workers", "2"]) == 2
-    assert "there is no sbatch here" in capsys.readouterr().err
+    assert "this machine has no sbatch" in capsys.readouterr().err
     assert not unsent()
 
 

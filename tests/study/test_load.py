@@ -309,7 +309,7 @@ ENERGY = {"max": {"strain_energy": "rod"}}
             {"links": {"rod.laminate.angles[7]": {"constant": 1}, "rod.laminate.angles[1]": {"x": 1, "y": 1}}}
             | {"design": {"rod.laminate.angles": PLIES}},
             {
-                "links.rod.laminate.angles[7]": "is no entry of a design variable",
+                "links.rod.laminate.angles[7]": "is not an entry of a design variable",
                 "links.rod.laminate.angles[1].x": "x is no entry",
                 "links.rod.laminate.angles[1].y": "y is no entry",
             },

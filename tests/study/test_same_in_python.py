@@ -231,8 +231,11 @@ LINK = {f"{ANGLES}[1]": {f"{ANGLES}[0]": -1.0}}
             {"tradeoff": {"a": {"mass": "rod"}, "b": {"mass": "rodd"}}, "minimize": None},
             r"line \d+: tradeoff.b.mass: .*'rodd'.*did you mean 'rod'",
         ),
-        ({"links": {f"{ANGLES}[2]": {f"{ANGLES}[0]": 1.0}}}, r"links.*\[2\] is no entry of a design variable"),
-        ({"links": {f"{ANGLES}[1]": {f"{ANGLES}[1]": 1.0}}}, r"is no entry that follows none itself; allowed: "),
+        ({"links": {f"{ANGLES}[2]": {f"{ANGLES}[0]": 1.0}}}, r"links.*\[2\] is not an entry of a design variable"),
+        (
+            {"links": {f"{ANGLES}[1]": {f"{ANGLES}[1]": 1.0}}},
+            r"must be an entry that does not follow others; allowed: ",
+        ),
         ({"links": {f"{ANGLES}[1]": {"const": 1.0}}}, r"did you mean 'constant'"),
         ({"links": {f"{ANGLES}[1]": {}}}, r"links.* must have"),
         ({"links": LINK}, r"start = \[45.0, -45.0\]: has 2 values; allowed: 1"),

@@ -44,7 +44,7 @@ def test_messages_of_databases_have_no_user():
 
 
 def test_a_text_that_was_written_is_no_store():
-    with pytest.raises(InputError, match=r"stands for what is not written down; allowed: the whole URI"):
+    with pytest.raises(InputError, match=r"hides a part of the URI; allowed: the whole URI"):
         store_uri("postgresql://***@host/runs")
 
 

@@ -47,7 +47,7 @@ def differentiate(f: Callable[[Any], Tensor | Sequence[Tensor]], motion: Traject
     many rows of one tensor are not pulled back through the operations of another.
     """
     if not isinstance(motion, Trajectory):
-        raise InputError("motion", motion, "a motion, as mbd.simulate(...) makes it")
+        raise InputError("motion", motion, "a motion, the result of mbd.simulate(...)")
     shared = replace(motion, known={})  # curves that measures share are kept until this function returns
     inputs = list(motion.variables.values())
     if not any(x.requires_grad for x in inputs):

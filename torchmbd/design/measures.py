@@ -95,7 +95,7 @@ def _require_history(measure: Measure, history: object) -> None:
 def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
     """A history of a motion as a curve; `motion.known` keeps it for other measures of the same evaluation."""
     if not isinstance(motion, Trajectory):
-        raise InputError("motion", motion, "a motion, as mbd.simulate(...) makes it")
+        raise InputError("motion", motion, "a motion, the result of mbd.simulate(...)")
     known = motion.known
     try:
         if known is not None and (history, window) in known:

@@ -391,5 +391,5 @@ class Constraint(ConstantArguments):
 
     def __bool__(self) -> bool:
         raise InputError(
-            "a constraint is neither true nor false, as a chain like 1 <= Max(...) <= 2 takes it; allowed: two constraints"
+            "a constraint has no truth value, which a chain such as 1 <= Max(...) <= 2 needs; allowed: two constraints"
         )

@@ -65,7 +65,7 @@ def settings_of(
             raise InputError((*path, name), setting, hint=_PARAMETER, rule=rule, noun=noun, shown="")
         noun = f"{name} {place}"
         if name in variables:
-            rule = "is a design variable; allowed: parameters that are none"
+            rule = "is a design variable; allowed: parameters that are not design variables"
             raise InputError((*path, name), setting, rule=rule, noun=noun, shown="")
         value = _value((*path, name), noun, setting, parameters[name].detach())
         good, allowed = of_allowed_sign(system, name, value)

@@ -210,7 +210,7 @@ def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tup
     known = set(entries)
     for linked, terms in links.items():
         if linked not in known:
-            rule = f"{linked} is no entry of a design variable{nearest(linked, entries)}"
+            rule = f"{linked} is not an entry of a design variable{nearest(linked, entries)}"
             raise InputError(("links", linked), terms, rule=rule, noun="links:", shown="")
         if not isinstance(terms, Mapping):
             raise InputError(("links", linked), terms, "a mapping {entry: factor}", noun=f"link of {linked!r}")

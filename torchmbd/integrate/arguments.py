@@ -142,7 +142,7 @@ def check_dtypes(system: System) -> None:
     """InputError names the first parameter of a system that has other numbers than float64."""
     for name, x in system.named_parameters():
         if x.dtype != torch.float64:
-            raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
+            raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, the type of the system")
 
 
 def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:

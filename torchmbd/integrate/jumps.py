@@ -215,7 +215,7 @@ def _warn_of_force(name: str, times: Sequence[float]) -> None:
     if times:
         t = times[0]
         warn(
-            f"the law of {name!r} jumps at {_shown(times)}: steps take its value at their ends, so that the force acts up to "
+            f"the law of {name!r} jumps at {_shown(times)}: steps evaluate it at their ends, so that the force acts up to "
             "half a step early or late, an error of first order in the step; allowed: a law for each phase that does not jump, "
             f"as by phases=[mbd.Phase(until={t:.6g}, laws={{{name!r}: first}}), mbd.Phase(laws={{{name!r}: second}})] of a "
             'force along one axis; a Controller with mbd.ControlHistory(..., kind="hold"); or method="dopri5"'

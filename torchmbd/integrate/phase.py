@@ -77,7 +77,7 @@ class Phase:
             if x is not None and not isinstance(x, Event) and not _positive(x):
                 allowed = "a positive time, or an Event" if key == "until" else "a positive time"
                 raise InputError(
-                    f"{key} of a phase is {x!r} s; allowed: {allowed}, also as a float64 tensor [] that is no Parameter"
+                    f"{key} of a phase is {x!r} s; allowed: {allowed}, also as a float64 tensor [] that is not a Parameter"
                 )
         for key in ("lock", "release"):
             x = getattr(self, key)

@@ -54,7 +54,7 @@ class PlyHistory:
 
     def __init__(self, motion: Trajectory, name: str):
         if not hasattr(motion, "body"):
-            raise InputError("motion", motion, "a motion, as mbd.simulate(...) makes it")
+            raise InputError("motion", motion, "a motion, the result of mbd.simulate(...)")
         view = motion.body(name)
         self.name, self.w = name, view.w
         body = motion.system.body(name)

@@ -46,9 +46,7 @@ def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, s
         if not workers:
             raise InputError("workers = 0: must be 1 or more, of all jobs together, with a cluster file")
         if shutil.which("sbatch") is None:
-            raise InputError(
-                f"scheduler = {scheduler!r}: there is no sbatch here; allowed: on a machine of the cluster"
-            )
+            raise InputError(f"scheduler = {scheduler!r}: this machine has no sbatch. Try: a machine of the cluster")
         return Workers(make, arguments, rows, workers, start=slurm.start)
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
         raise InputError(

@@ -253,7 +253,7 @@ def sweep_values(
     """
     entries = [k for k, label in enumerate(names) if name in (label, label.rpartition("[")[0])]
     if len(entries) != 1:
-        rule = f"is no single design variable{nearest(name, names)}"
+        rule = f"is not a single design variable{nearest(name, names)}"
         raise InputError(("sweep", name), span, rule=rule, noun=f"swept variable {name!r}", shown="")
     [index] = entries
     first, last, count = span

@@ -51,7 +51,7 @@ def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
     chosen = checked_uri(uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}", name)
     if chosen.masked:
         raise InputError(
-            f"{name} = {chosen!r}: {MASK} stands for what is not written down; allowed: the whole URI, as MLFLOW_TRACKING_URI"
+            f"{name} = {chosen!r}: {MASK} hides a part of the URI; allowed: the whole URI. Try: MLFLOW_TRACKING_URI"
         )
     if chosen.file is None:
         return chosen

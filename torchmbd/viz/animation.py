@@ -93,7 +93,7 @@ def write_scene(scene: dict[str, Any], path: Path) -> Path:
 def require_motion(motion: Any) -> None:
     """InputError unless the argument is a motion."""
     if not hasattr(motion, "status"):
-        raise InputError("motion", motion, "a motion, as mbd.simulate(...) makes it")
+        raise InputError("motion", motion, "a motion, the result of mbd.simulate(...)")
 
 
 def require_lane(motion: Any, lane: int) -> None:

@@ -281,7 +281,7 @@ MISTAKES = {
     "a unit that does not exist": (f"{CHANNEL}.unit=degree", r"unit = 'degree'.*deg"),
     "an unknown that nothing has": (
         "identify.unknowns={drag.dumping: {lower: 0, upper: 1, unit: none}}",
-        r"drag\.dumping: is no parameter of the model, nor a number of a sensor.*'drag\.damping'",
+        r"drag\.dumping: must be a parameter of the model or a number of a sensor.*'drag\.damping'",
     ),
     "an impossible unit of a delay": ("identify.unknowns.angle.delay.unit=mm", r"angle\.delay\.unit = 'mm'.*s, ms"),
     "a delay without bounds": (
@@ -300,7 +300,7 @@ MISTAKES = {
         "identify.experiments.swing.time_series.file=swung.csv",
         r"time_series\.file.*No such file",
     ),
-    "a sensor that no channel has": (f"{CHANNEL}.gain=angle.gein", r"gain = 'angle.gein': is no sensor.*'angle.gain'"),
+    "a sensor that no channel has": (f"{CHANNEL}.gain=angle.gein", r"gain = 'angle.gein': is not a sensor.*'angle.gain'"),
     "a loss that does not exist": ("identify.loss=hubber", r"loss = 'hubber'.*huber"),
     "options of a model": ("identify.experiments.swing.options={sped: 1}", r"swing\.options\.sped.*speed"),
     "an experiment that is held out too": (

@@ -64,7 +64,7 @@ def test_more_unknowns_than_numbers_are_refused():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"unknowns": ["bob.mas"]}, "unknown 'bob.mas' is no parameter; .*did you mean 'bob.mass'"),
+        ({"unknowns": ["bob.mas"]}, "unknown 'bob.mas' .*did you mean 'bob.mass'"),
         ({"unknowns": "bob.mass"}, "unknowns is 'bob.mass'; allowed: a list"),
         ({"unknowns": ["bob.mass", "bob.mass"]}, "allowed: each parameter once"),
         ({"unknowns": []}, "unknowns is empty"),

@@ -53,7 +53,7 @@ POSITION = mbd.Position("bob", "x")
         ),
         (
             lambda: mbd.Experiment(pendulum.pushed(), mbd.StaticCurve(X, {"pusk.x": "F"}, {"x": POSITION})),
-            "load 'pusk.x' is no parameter.*did you mean 'push.x'",
+            "load 'pusk.x' .*did you mean 'push.x'",
         ),
         (
             lambda: mbd.Experiment(

@@ -116,7 +116,7 @@ def test_particles_have_the_mass_of_the_section():
 def test_masses_of_no_plane_section_are_refused(change):
     M = coupled_section().mass().clone()
     M[change[0], change[1]] *= change[2]
-    with pytest.raises(InputError, match=r"mass of section 0: .* allowed: those of a plane section"):
+    with pytest.raises(InputError, match=r"mass of section 0: .* allowed: inertias of a plane section"):
         section_particles(M[None])
 
 

@@ -181,7 +181,7 @@ def changed(matrix: torch.Tensor, index: tuple[int, ...], value: float) -> torch
         (K_GOOD[:4], M_GOOD, 2, r"K has shape \(4, 6\)"),
         (K_GOOD, M_GOOD[:5, :5], 2, r"M has shape \(5, 5\); \[..., 6, 6\] or \[..., 6\]"),
         (K_GOOD.float(), M_GOOD, 2, "K has dtype torch.float32"),
-        (sparse(K_GOOD), sparse(M_GOOD[:5, :5]), 2, "M has 5 rows; 6 are needed"),
+        (sparse(K_GOOD), sparse(M_GOOD[:5, :5]), 2, "M has 5 rows; allowed: 6"),
         (changed(sparse(K_GOOD).dense(), (5, 0), torch.nan), M_GOOD, 2, r"K\[5, 0\]"),
     ],
 )

@@ -73,7 +73,7 @@ def test_wrong_arguments_are_named(change: dict, message: str):
 def test_other_bodies_are_refused():
     laminate = mbd.Laminate(CARBON, [0.0], [1e-3])
     plate = mbd.FlexibleBody.plate("panel", mbd.mesh.rectangle(0.5, 0.1, (4, 2)), laminate, modes=2)
-    with pytest.raises(InputError, match="body 'panel' of split is no beam"):
+    with pytest.raises(InputError, match="body 'panel' of split is not a beam"):
         mbd.split(plate, 2)
     fork = mbd.BeamLine([[0.0, 0, 0], [1.0, 0, 0], [2.0, 1, 0], [2.0, -1, 0]], [[0, 1], [1, 2], [1, 3]])
     with pytest.raises(InputError, match="line of 'arm' has branches, or nodes that vary"):

@@ -85,7 +85,7 @@ class Experiment(Summary):
         self.settings = settings_of(system, (), "of the experiment", settings or {}, ("settings",))
         for name in (name for measurement in self.measurements for name in measurement.sets if name in self.settings):
             raise InputError(
-                f"settings has {name!r}, a load that a measurement sets; allowed: parameters that are none"
+                f"settings has {name!r}, a load that a measurement sets; allowed: parameters that are not loads"
             )
         self.steps = steps
 

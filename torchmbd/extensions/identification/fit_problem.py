@@ -373,13 +373,13 @@ def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequ
     for name in names:
         if name not in every:
             hint = "; a plain number of a constructor becomes a parameter by mbd.variable(...)"
-            rule = f"is no parameter{nearest(name, every)}{hint}"
+            rule = f"is not a parameter{nearest(name, every)}{hint}"
             raise InputError(("unknowns", name), rule=rule, noun=f"unknown {name!r}")
         parameters[name] = every[name]
         for key, x in experiments.items():
             of_system = dict(x.system.named_parameters())
             if name in x.settings:
-                rule, noun = f"sets {name!r}, an unknown; allowed: parameters that are none", f"experiment {key!r}"
+                rule, noun = f"sets {name!r}, an unknown; allowed: parameters that are not unknowns", f"experiment {key!r}"
                 raise InputError(("unknowns", name), rule=rule, noun=noun)
             if any(name in measurement.sets for measurement in x.measurements):
                 rule = f"is a load of experiment {key!r}, which is measured; allowed: others"

@@ -245,7 +245,7 @@ class _Maker:
             factor = scale if key == "offset" else 1.0
             if isinstance(written, str) and written not in self.sensor_labels:
                 self.faults.append(
-                    Fault((*path, key), f"= {written!r}: is no sensor{nearest(written, self.sensor_labels)}")
+                    Fault((*path, key), f"= {written!r}: is not a sensor{nearest(written, self.sensor_labels)}")
                 )
                 return None
             if label in self.unknowns and (kind == "experiments" or isinstance(written, str)):
@@ -299,7 +299,7 @@ def read_identification(
         if name not in parameters:
             hint = "; a plain number of a constructor becomes a parameter by mbd.variable(...)"
             allowed = nearest(name, [*parameters, *maker.sensor_labels])
-            text = f": is no parameter of the model, nor a number of a sensor{allowed}{hint}"
+            text = f": must be a parameter of the model or a number of a sensor{allowed}{hint}"
             faults.append(Fault(("identify", "unknowns", name), text))
     if faults:
         return faults

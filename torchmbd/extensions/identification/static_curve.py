@@ -60,7 +60,7 @@ class StaticCurve(Measurement):
         for name in self.loads:
             if name not in parameters:
                 hint = "; a plain number of a load becomes a parameter by mbd.variable(...)"
-                rule = f"is no parameter{nearest(name, parameters)}{hint}"
+                rule = f"is not a parameter{nearest(name, parameters)}{hint}"
                 raise InputError(("loads", name), rule=rule, noun=f"load {name!r}")
             if parameters[name].numel() != 1:
                 rule = f"has {parameters[name].numel()} entries; allowed: a parameter of one"

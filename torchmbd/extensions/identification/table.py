@@ -196,7 +196,7 @@ def _numbers(name: str, x: Any) -> np.ndarray:
         numbers = np.asarray(x.detach() if isinstance(x, torch.Tensor) else x)
         result = np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        rule = f"has entries that are no numbers ({error}); allowed: numbers, nan for a gap"
+        rule = f"has entries that are not numbers ({error}); allowed: numbers, nan for a gap"
         raise InputError(("columns", name), rule=rule, noun=f"column {name!r}") from None
     if result.ndim != 1 or numbers.dtype.kind not in "fiuO":
         rule = f"has shape {numbers.shape} of {numbers.dtype}; allowed: one number for each row"

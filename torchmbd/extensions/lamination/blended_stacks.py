@@ -185,7 +185,9 @@ def _check(
     check_search(rules, weights, seed)
     first, *others = (without_variables(laminate.ply) for laminate in laminates.values())
     if any(ply != first for ply in others):
-        raise InputError("laminates has zones of different plies; allowed: one material, as zones share their plies")
+        raise InputError(
+            "laminates has zones of different plies; allowed: one material, because zones share their plies"
+        )
     symmetric = {laminate.coupling is None for laminate in laminates.values()}
     if len(symmetric) > 1:
         raise InputError("laminates has zones with coupling and zones without; allowed: all with, or all without")

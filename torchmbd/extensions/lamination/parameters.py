@@ -112,13 +112,15 @@ class LaminationParameters(Laminate):
                 for k, reason in enumerate(infeasibility_reasons(*self.sets())):
                     if reason:
                         place = "" if self.field is None else f" of control {k}"
-                        raise InputError(f"LaminationParameters{place}: {reason}; allowed: those of a stack of plies")
+                        raise InputError(
+                            f"LaminationParameters{place}: {reason}; allowed: lamination parameters of a stack of plies"
+                        )
             X = self.stiffness()
             ABD = torch.cat([torch.cat([X.A, X.B], -1), torch.cat([X.B, X.D], -1)], -2)
             if not bool((torch.linalg.eigvalsh(ABD) > 0.0).all()):
                 raise InputError(
-                    f"LaminationParameters: membrane = {self.membrane.tolist()} and so on have a stiffness that is not "
-                    "positive definite; allowed: those of a stack of plies"
+                    f"LaminationParameters: membrane = {self.membrane.tolist()} and the other parameters have a stiffness "
+                    "that is not positive definite; allowed: lamination parameters of a stack of plies"
                 )
 
     def sets(self) -> tuple[Tensor, Tensor, Tensor]:

@@ -189,4 +189,4 @@ def _warn_ignored(data: BulkData, path: str | Path) -> None:
         )
     if data.ignored:
         cards = ", ".join(f"{name} ({count})" for name, count in sorted(data.ignored.items()))
-        warn(f"{Path(path).name}: cards that are no structure are left out: {cards}")
+        warn(f"{Path(path).name}: cards that do not describe structure are left out: {cards}")

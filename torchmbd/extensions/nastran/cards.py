@@ -183,7 +183,7 @@ def _split(line: str, where: str) -> tuple[str, list[str], str]:
     line = line.expandtabs(8)
     head = line[:8].strip().upper()
     if " " in head and head[0] not in "+*":
-        raise InputError(f"{where}: {head!r} is no card name; is a field of 8 columns shifted?")
+        raise InputError(f"{where}: {head!r} is not the name of a card; is a field of 8 columns shifted?")
     width, count = (16, 4) if "*" in head else (8, _PER_LINE)
     fields = [line[8 + width * k : 8 + width * (k + 1)].strip() for k in range(count)]
     return head, fields, line[72:80].strip().lstrip("+*").upper()

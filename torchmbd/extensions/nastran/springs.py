@@ -209,7 +209,7 @@ def _solid_material(data: BulkData, card: Card, number: int, units: Units) -> tu
     if system < 0:
         raise InputError(f"{solid}: CORDM is {system}; allowed: 0 or a system, with MAT9")
     if data.systems.curved(system, solid):
-        raise InputError(f"{solid}: CORDM {system} is no rectangular system; allowed: a rectangular one, with MAT9")
+        raise InputError(f"{solid}: CORDM {system} is not a rectangular system; allowed: a rectangular one, with MAT9")
     T = _strain_transformation(data.systems.axes(system, solid, np.zeros(3)))
     return torch.from_numpy(T.T @ D @ T) * units.stress, density_of(material, 23, units, data.weight_to_mass)
 

@@ -175,7 +175,7 @@ class _Builder:
         value = self.requests[key].get(name, x)
         reason = f"it mimics {leader!r}" if leader else "the file holds it"
         if abs(value - x) > 1e-9 * max(1.0, abs(x)):
-            raise InputError(f"{key}[{name!r}] = {value:g}: must be {x:g}, as {reason}. Try: {key} without it")
+            raise InputError(f"{key}[{name!r}] = {value:g}: must be {x:g}, because {reason}. Try: {key} without it")
         return x
 
     def _locked(self, joint: RobotJoint) -> RobotJoint:

@@ -309,7 +309,9 @@ class _Reader(Values):
                 raise unknown(f"{where}: {key}", name, joints)
         terms = self.numbers(where, attributes, "polycoef", "0 1 0 0 0")
         if any(terms[2:]) and len(names) == 2:
-            raise InputError(f"{where}: polycoef = {terms}: must be linear, as zero from the third number on")
+            raise InputError(
+                f"{where}: polycoef = {terms}: must be linear. Try: zero for the third number and the following"
+            )
         follower = joints[names[0]]
         if follower.mimics is not None:
             raise InputError(f"{where}: joint1 = {names[0]!r} follows two joints. Try: one <joint> for each joint1")

@@ -173,7 +173,7 @@ def read_xml(path: str | Path, what: str) -> tuple[Path, ET.Element]:
     text = file.read_bytes()
     if b"<!DOCTYPE" in text or b"<!ENTITY" in text or b"\x00" in text:
         raise InputError(
-            f"{file.name} has a document type or is no UTF-8 text; allowed: plain {what.partition(' ')[2]}"
+            f"{file.name} has a document type or is not UTF-8 text; allowed: plain {what.partition(' ')[2]}"
         )
     try:
         return file, ET.fromstring(text)

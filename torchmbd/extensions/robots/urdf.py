@@ -71,7 +71,7 @@ def _check_parts(file: str, root: ET.Element) -> None:
                 unknown_parts.setdefault(f"<{tag}> in <{element.tag}>", []).append(element.get("name", ""))
     if unknown_parts:
         listed = "; ".join(f"{kind} {sorted(set(names))[:8]}" for kind, names in sorted(unknown_parts.items()))
-        warn(f"{file}: left out, as they are not known: {listed}")
+        warn(f"{file}: left out, because they are unknown: {listed}")
 
 
 def _named(file: str, element: ET.Element) -> str:

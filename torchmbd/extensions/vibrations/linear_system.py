@@ -202,7 +202,7 @@ def _about_rest(dynamics: Any, q: Tensor, state: Equilibrium, lane: int, k: int)
     if not float((rest.N.T @ rest.unbalanced).abs().amax(0) if rest.N.numel() else 0.0) <= _BALANCED * size or (
         rest.phi.numel() and not float(rest.phi.abs().max()) <= _BALANCED
     ):
-        raise InputError("state is no equilibrium of the system; allowed: one of mbd.equilibrium of the same system")
+        raise InputError("state is not an equilibrium of the system; allowed: mbd.equilibrium(...) of this system")
     factored_inertia(rest.inertia)
     N = torch.zeros(len(rest.forces), rest.N.shape[1], dtype=q.dtype)
     N[rest.active] = rest.N
@@ -218,8 +218,8 @@ def _about_motion(
     change = (moving.observer.a[:, 0, 0] - a).abs().max()
     if not (moving.violation <= _KEPT and float(change) <= _SAME * float(a.abs().max()) + _KEPT):
         raise InputError(
-            f"state is no motion of the system: its joints are open by {moving.violation:.2g} m or m/s, its accelerations "
-            f"differ by {float(change):.2g} m/s2 or rad/s2; allowed: one of mbd.simulate of the same system, with small steps"
+            f"state is not a motion of the system: its joints are open by {moving.violation:.2g} m or m/s, its accelerations "
+            f"differ by {float(change):.2g} m/s2 or rad/s2; allowed: mbd.simulate(...) of this system, with small steps"
         )
     names = [dynamics.topology.rate_name(row) for row in moving.rows]
     factored_inertia(moving.M)  # refuses what moves without a mass

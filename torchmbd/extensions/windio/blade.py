@@ -82,7 +82,7 @@ class WindIOBlade:
             raise InputError(f"{path.name}: {error}") from None
         except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise InputError(
-                f"{path.name} is no windIO blade: {_error_text(error)}; allowed: components, airfoils, materials"
+                f"{path.name} is not a windIO blade: {_error_text(error)}; allowed: components, airfoils, materials"
             ) from None
 
     def contour(self, position: float) -> Array:

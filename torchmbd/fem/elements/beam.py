@@ -246,8 +246,8 @@ def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 
         matrix, middle = untransformed(mass).reshape(-1, 6, 6)[wrong], untransformed(center).reshape(-1, 2)[wrong]
         raise InputError(
             f"mass of section {int(wrong)}: inertias {matrix.diagonal()[3:].tolist()} kg m with its center at "
-            f"{middle.tolist()} m; allowed: those of a plane section, the polar one the sum of the other two "
-            "and all of them about the center positive"
+            f"{middle.tolist()} m; allowed: inertias of a plane section. The polar one is the sum of the other two, "
+            "and all of them are positive about the center"
         )
     first = (2.0 * yy).sqrt()
     mixed = 2.0 * yz / first

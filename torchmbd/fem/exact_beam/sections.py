@@ -46,7 +46,7 @@ class SpanSections:
             chain = torch.stack([torch.arange(m), torch.arange(m) + 1], 1)
             if not torch.equal(line.elements, chain):
                 raise InputError(
-                    f"section of {name!r} is a SectionTable and its line is no chain; allowed: 0-1, 1-2, ..."
+                    f"section of {name!r} is a SectionTable and its line is not a chain; allowed: 0-1, 1-2, ..."
                 )
             self.modules: dict[str, nn.Module] = {"section": self._table}
             return

@@ -97,7 +97,7 @@ class Orthotropic:
             raise InputError(f"ply is {ply!r}, whose numbers vary; allowed: numbers, or a Section of the ply itself")
         if ply.loss:
             raise InputError(
-                f"ply of a section has the loss factor {ply.loss!r}; allowed: 0; of beams damping is that of their modes"
+                f"ply of a section has the loss factor {ply.loss!r}; allowed: 0. Try: damping of the modes of the body"
             )
         nu23 = ply.E2 / (2.0 * ply.G23) - 1.0
         try:
@@ -105,7 +105,7 @@ class Orthotropic:
             return cls(*moduli, ply.nu12, ply.nu12, nu23, ply.density, ply.strength)
         except InputError as error:
             raise InputError(
-                f"ply with E2 = {ply.E2!r}, G23 = {ply.G23!r} is no transversely isotropic solid "
+                f"ply with E2 = {ply.E2!r}, G23 = {ply.G23!r} is not a transversely isotropic solid "
                 f"(nu23 = E2 / (2 G23) - 1 = {nu23:.4g}); give all nine constants as Orthotropic"
             ) from error
 

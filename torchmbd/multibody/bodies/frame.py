@@ -210,7 +210,7 @@ def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
     error = float((A.T @ A - torch.eye(3, dtype=torch.float64)).abs().max())
     if not error < 1e-9 or float(torch.linalg.det(A)) < 0:
         raise InputError(
-            f"{name} is no rotation: |A'A - 1| = {error:.1e}, det A = {float(torch.linalg.det(A)):.3f}; "
+            f"{name} is not a rotation: |A'A - 1| = {error:.1e}, det A = {float(torch.linalg.det(A)):.3f}; "
             "allowed: orthonormal columns that form a right-handed triad"
         )
     return A

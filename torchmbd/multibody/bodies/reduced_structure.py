@@ -215,5 +215,5 @@ def read_reduced(name: str, path: str | Path) -> ReducedStructure:
         raise (
             error
             if isinstance(error, InputError)
-            else InputError(f"{Path(path).name} is no reduced body: {error}; allowed: a file of save_reduced")
+            else InputError(f"{Path(path).name} is not a reduced body: {error}; allowed: a file of save_reduced")
         ) from None

@@ -123,8 +123,8 @@ class RotationalStop(_Stop):
         super().__init__(a, b, axis, **arguments)
         if self.width > MOST_TURN:
             raise InputError(
-                f"limits of {self.name!r} are {self.width:.4g} rad apart; allowed: {MOST_TURN:.4g} rad, as an angle is known "
-                "up to a turn"
+                f"limits of {self.name!r} are {self.width:.4g} rad apart; allowed: at most {MOST_TURN:.4g} rad, because an "
+                "angle is known only up to a whole turn"
             )
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:

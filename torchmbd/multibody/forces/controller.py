@@ -88,7 +88,7 @@ def _check(control: Control) -> None:
     for name, p in control.module.named_parameters():
         if p.dtype != torch.float64:
             raise InputError(
-                f"parameter {name!r} of the {control.label} is {p.dtype}; allowed: torch.float64, as by .double()"
+                f"parameter {name!r} of the {control.label} is {p.dtype}; allowed: torch.float64. Try: .double()"
             )
     refuse_lost_gradients(control.label, control.module, VARIABLES, control.module)
     with torch.inference_mode(False), torch.enable_grad():
@@ -101,7 +101,8 @@ def _check(control: Control) -> None:
                 )
         if not torch.equal(u, _called(control, x)):
             raise InputError(
-                f"{control.label} gives other numbers for the same inputs; allowed: the same, as by .eval()"
+                f"{control.label} gives other numbers when it is called again with the same inputs; "
+                "allowed: the same numbers. Try: .eval()"
             )
         _check_gradients(control, x)
 

@@ -85,8 +85,8 @@ def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
     """
     if not all_true(x[..., count:] == 0.0):
         raise InputError(
-            f"start: {name!r} = {untransformed(x).tolist()}: must be zero for mode {count + 1} and the following, as a design "
-            f"retains {count} modes"
+            f"start: {name!r} = {untransformed(x).tolist()}: must be zero for mode {count + 1} and the following, because a "
+            f"design retains {count} modes"
         )
     return torch.nn.functional.pad(x[..., :count], (0, modes - min(count, x.shape[-1])))
 
@@ -256,8 +256,8 @@ class InitialConditions:
         if gap > _STRAINING:
             energy = float((stored_energy(T, data, after) - stored_energy(T, data, before)).max())
             warn(  # few different texts: Python shows each once in an optimization
-                f"closing the joints strains exact beams: {gap:.1g} m or rad are left where they move as rigid bodies, and the "
-                f"start has {energy:.1g} J of strain energy more; allowed: beams that fit between their joints"
+                f"closing the joints strains exact beams: rigid motions leave gaps of {gap:.1g} m or rad, and the "
+                f"start gains {energy:.1g} J of strain energy; allowed: beams that fit between their joints"
             )
 
     def compatible(self, dynamics: Any, q: Any, v: Any):

@@ -99,7 +99,7 @@ def _line(body: Any) -> BeamLine:
     if not isinstance(body, FlexibleBody):
         raise InputError(f"body of split is {body!r}; allowed: {allowed}")
     if not all(isinstance(part, Beams) for part in body.parts.values()) or not body.parts or body.links:
-        raise InputError(f"body {body.name!r} of split is no beam; allowed: {allowed}")
+        raise InputError(f"body {body.name!r} of split is not a beam; allowed: {allowed}")
     if any(given_velocities(body)) or has_modal_start(body) or isinstance(body.position, nn.Parameter):
         raise InputError(f"body {body.name!r} of split has motion or position of its own; allowed: {allowed}")
     if body.damping.ratios is not None or body.damping.rate != 0.0:

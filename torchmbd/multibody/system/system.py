@@ -151,8 +151,8 @@ class System(nn.Module):
             for side, frame in zip("ab", frames, strict=False):
                 if frame.varying is not None and frame.varying.record.turns and frame.varying not in axes_in_use:
                     raise InputError(
-                        f"turn of frame {side} of {element.name!r} is a design variable, but no axis of this frame is used, as "
-                        "joints take those of their first frame; allowed: turn of the other frame, or numbers"
+                        f"turn of frame {side} of {element.name!r} is a design variable, but no axis of this frame is used, "
+                        "because joints take the axes of their first frame; allowed: turn of the other frame, or numbers"
                     )
             modules = {f"{element.name}_{side}": frame.varying for side, frame in zip("ab", frames, strict=False)}
             modules |= {element.name: None if element.variables is None else element.variables.module}
@@ -325,7 +325,7 @@ class System(nn.Module):
         batch = dict(parameters or {})
         for name, x in module_parameters.items():
             if x.dtype != torch.float64:
-                raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
+                raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, the type of the system")
         for name, x in batch.items():
             if name not in module_parameters:
                 raise unknown("parameter", name, module_parameters)
