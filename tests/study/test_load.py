@@ -310,8 +310,8 @@ ENERGY = {"max": {"strain_energy": "rod"}}
             | {"design": {"rod.laminate.angles": PLIES}},
             {
                 "links.rod.laminate.angles[7]": "is not an entry of a design variable",
-                "links.rod.laminate.angles[1].x": "x is no entry",
-                "links.rod.laminate.angles[1].y": "y is no entry",
+                "links.rod.laminate.angles[1].x": "x must be an entry",
+                "links.rod.laminate.angles[1].y": "y must be an entry",
             },
         ),
         (

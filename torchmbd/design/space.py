@@ -216,7 +216,7 @@ def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tup
             raise InputError(("links", linked), terms, "a mapping {entry: factor}", noun=f"link of {linked!r}")
         for source in terms:
             if source not in free and source != CONSTANT:
-                rule = f"{source} is no entry that follows none itself{nearest(source, [*free, CONSTANT])}"
+                rule = f"{source} must be an entry that does not follow others{nearest(source, [*free, CONSTANT])}"
                 noun = f"link of {linked}:"
                 raise InputError(("links", linked, source), terms[source], rule=rule, noun=noun, shown="")
     if not free:

@@ -300,7 +300,10 @@ MISTAKES = {
         "identify.experiments.swing.time_series.file=swung.csv",
         r"time_series\.file.*No such file",
     ),
-    "a sensor that no channel has": (f"{CHANNEL}.gain=angle.gein", r"gain = 'angle.gein': is not a sensor.*'angle.gain'"),
+    "a sensor that no channel has": (
+        f"{CHANNEL}.gain=angle.gein",
+        r"gain = 'angle.gein': is not a sensor.*'angle.gain'",
+    ),
     "a loss that does not exist": ("identify.loss=hubber", r"loss = 'hubber'.*huber"),
     "options of a model": ("identify.experiments.swing.options={sped: 1}", r"swing\.options\.sped.*speed"),
     "an experiment that is held out too": (

@@ -219,5 +219,5 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
     numbers = untransformed(tensor)
     if len(shape) == 2 and float((numbers.mT @ numbers - torch.eye(3, dtype=torch.float64)).abs().max()) > _TURNED:
         allowed = "orthonormal columns, the axes of the body"
-        raise InputError(("start", name), x, allowed, noun=f"start: {name!r}", shown="no rotation")
+        raise InputError(("start", name), x, allowed, noun=f"start: {name!r}", shown="not a rotation")
     return tensor
