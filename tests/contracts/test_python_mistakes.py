@@ -191,7 +191,7 @@ MISTAKES = {
         "must lie between -0.1 rad",
     ),
     "short start": (lambda: problem(start=[0.1]), "start has 1 values", "allowed: 2"),
-    "links": (lambda: problem(links={"x": {"y": 1.0}}), "links: x is no entry", "rod.laminate.angles[0]"),
+    "links": (lambda: problem(links={"x": {"y": 1.0}}), "links: x is not an entry", "rod.laminate.angles[0]"),
     "subject_to": (lambda: problem(subject_to=[1.0]), "subject_to has 1.0", "constraints"),
     # optimization
     "capitals": (lambda: mbd.optimize(BOX, "SLSQP"), "method 'SLSQP'", "did you mean 'slsqp'"),

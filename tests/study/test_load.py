@@ -302,7 +302,7 @@ ENERGY = {"max": {"strain_energy": "rod"}}
             },
             {
                 "design.rod.laminate.angles.start": "has 2 values; allowed: 1",
-                "links.rod.laminate.angles[1].rod.laminate.angles[5]": "follows none itself",
+                "links.rod.laminate.angles[1].rod.laminate.angles[5]": "does not follow others",
             },
         ),
         (
@@ -374,7 +374,7 @@ def test_a_fault_hides_no_other(write, sections, expected):
     [
         (
             "rod.laminate.angles",
-            "is no single design variable; allowed: rod.laminate.angles[0], rod.laminate.angles[1]",
+            "is not a single design variable; allowed: rod.laminate.angles[0], rod.laminate.angles[1]",
         ),
         ("rod.laminate.angle[0]", "did you mean 'rod.laminate.angles[0]'?"),
         ("rod.laminate.angles[1]", "(95 deg): must lie between"),

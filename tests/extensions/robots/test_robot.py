@@ -230,9 +230,9 @@ def test_a_follower_of_a_locked_joint_is_fixed(file):
         (
             'joint="j2"',
             {"positions": {"j2": 0.1, "j3": 0.2}},
-            r"positions\['j3'\] = 0.2: must be 0.1, as it mimics 'j2'",
+            r"positions\['j3'\] = 0.2: must be 0.1, because it mimics 'j2'",
         ),
-        ('joint="j2"', {"velocities": {"j3": 0.2}}, r"velocities\['j3'\] = 0.2: must be 0, as it mimics 'j2'"),
+        ('joint="j2"', {"velocities": {"j3": 0.2}}, r"velocities\['j3'\] = 0.2: must be 0, because it mimics 'j2'"),
         ('joint="j2" multiplier="fast"', {}, "multiplier is 'fast'"),
     ],
 )
