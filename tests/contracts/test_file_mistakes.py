@@ -177,7 +177,11 @@ MISTAKES = [
     ("minimize: " + ENERGY, "tradeoff: {a: {mass: rod}, b: {mas: rod}}", ["tradeoff.b.mas", "did you mean 'mass'"]),
     ("tracking:", "robust: worst\ntracking:", ["robust = 'worst': no variable has a tolerance", "allowed: with one"]),
     ("tracking:", "robust: worse\ntracking:", ["robust = 'worse'", "did you mean 'worst'"]),
-    ("tracking:", f"links: {{'{PLY}[2]': {{'{PLY}[0]': -1}}}}\ntracking:", [f"{PLY}[2] is not an entry", "did you mean"]),
+    (
+        "tracking:",
+        f"links: {{'{PLY}[2]': {{'{PLY}[0]': -1}}}}\ntracking:",
+        [f"{PLY}[2] is not an entry", "did you mean"],
+    ),
     ("tracking:", f"links: {{'{PLY}[1]': {{'{PLY}[0]': a}}}}\ntracking:", ["= 'a'", "must be a valid number"]),
     ("tracking:", f"links: {{'{PLY}[1]': {{{PLY}[0]: -1}}}}\ntracking:", ["not YAML", "got '['", "allowed within { }"]),
     (

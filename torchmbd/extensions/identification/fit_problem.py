@@ -379,7 +379,10 @@ def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequ
         for key, x in experiments.items():
             of_system = dict(x.system.named_parameters())
             if name in x.settings:
-                rule, noun = f"sets {name!r}, an unknown; allowed: parameters that are not unknowns", f"experiment {key!r}"
+                rule, noun = (
+                    f"sets {name!r}, an unknown; allowed: parameters that are not unknowns",
+                    f"experiment {key!r}",
+                )
                 raise InputError(("unknowns", name), rule=rule, noun=noun)
             if any(name in measurement.sets for measurement in x.measurements):
                 rule = f"is a load of experiment {key!r}, which is measured; allowed: others"
