@@ -51,7 +51,7 @@ CASES = [
     ("duration: 0.01", "duration: 0", "simulate.duration = 0", "greater than 0"),
     ("duration: 0.01", "duration: 10 ms", "simulate.duration = '10 ms'", "number"),
     ("steps: 60", "steps: 6.5", "simulate.steps = 6.5", "integer"),
-    ("steps: 60", "steps: 1000000000", "line 6: simulate.steps: steps is 1000000000", "of memory"),
+    ("steps: 60", "steps: 1000000000", "line 6: simulate.steps = 1000000000", "of memory"),
     ("steps: 60", "step: 60", "simulate.step", "did you mean 'steps'"),
     ("steps: 60", "steps: 60, method: euler_backward", "simulate.method", "allowed: "),
     ("steps: 60", "steps: 60, gradients: 2", "simulate.gradients = 2", "string"),
