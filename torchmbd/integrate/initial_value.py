@@ -17,6 +17,7 @@ from typing import Protocol, Self
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
 from torchmbd.integrate.jumps import held_times_of, within_phases
 from torchmbd.integrate.lanes import lanes_of
+from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.segment import Segment
@@ -92,7 +93,7 @@ class SeveralSegments(InitialValueProblem):
     def integrate(self, integrator: Integrator, steps: int) -> IntegrationResult:
         every = steps // integrator.stored_intervals(steps)
         run = MultiphaseRun(self.dynamics, self.segments, self.views, self.duration, steps, integrator, every)
-        statistics = integrator.integrate_phases(run)
+        statistics = loop.integrate(run)
         contacts = run.watch.unresolved(self.duration / steps, by_steps=integrator.adjoint)
         run.watch.gaps_and_rates = None  # of all steps: the run is kept for the adjoint
         return IntegrationResult(

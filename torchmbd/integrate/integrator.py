@@ -1,9 +1,9 @@
 """The contract of an integrator: a method with its options, which integrates the equations of motion.
 
     integrate             motion of all lanes over equal output intervals
-    integrate_phases      the same through the phases of a simulation (phases/loop.py), by
-    stepper                 regular steps of all lanes, from output to output
-    step_of_size            a step of every lane whose size and end may depend on the design
+    stepper               regular steps of all lanes, from output to output
+    step_of_size          a step of every lane whose size and end may depend on the design
+    estimates             of the errors of the steps
     retry                 the integrator for lanes that failed
     with_defaults         the same integrator, defaults chosen for a system
 
@@ -18,13 +18,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, get_type_hints
 
 import torch
 from torch import Tensor
 
 from torchmbd.integrate.contacts import UnresolvedContact
-from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.multibody.equations.equations import Data
 from torchmbd.multibody.equations.topology import Schedule, Topology
@@ -32,6 +31,9 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History, Record
 from torchmbd.results.motion_data import Switch
 from torchmbd.results.state import State
+
+if TYPE_CHECKING:
+    from torchmbd.integrate.estimates import StepEstimates
 
 
 @dataclass
@@ -140,10 +142,6 @@ class Integrator(ABC):
         """States at steps + 1 equal times, with tangents where the dynamics have any; a lane that fails is nan."""
 
     @abstractmethod
-    def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
-        """Integrate all lanes through all phases, into the record of the multiphase run; statistics."""
-
-    @abstractmethod
     def stepper(self, dynamics: Dynamics, h: float) -> Stepper:
         """Regular steps of size h [s]."""
 
@@ -156,6 +154,10 @@ class Integrator(ABC):
         Numbers of x and of the result carry total derivatives: times may depend on the design. A lane that cannot make its
         step is nan.
         """
+
+    def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates | None:
+        """Of the errors of equal steps, whose states are those of these dynamics; None: the method does not know them."""
+        return None
 
     def stored_intervals(self, steps: int) -> int:
         """The number of intervals between the states that are kept; InputError if the steps do not suit the options."""

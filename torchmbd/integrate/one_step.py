@@ -37,11 +37,8 @@ from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.integrator import IntegrationResult, Integrator, Stepper, Steps
-from torchmbd.integrate.phases import loop
-from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import prepare
 from torchmbd.integrate.segment import DURATION
-from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.step_count import announce
 from torchmbd.integrate.stepper import EagerStepper, resume
@@ -157,15 +154,7 @@ class OneStep(Integrator):
         return IntegrationResult(history, statistics, contacts=watch.unresolved(h))
 
     def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates:
-        """Of the errors of equal steps, whose states are those of these dynamics."""
         return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)
-
-    def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
-        """See Integrator. Alternations are measured in the second half of each phase."""
-        estimates = self.estimates(multiphase.whole, multiphase.duration, multiphase.steps)
-        statistics = loop.integrate(multiphase, estimates)
-        estimates.put_into(statistics, multiphase.phase_number, self.checkpoint)
-        return statistics
 
     @property
     def refines(self) -> bool:

@@ -18,8 +18,6 @@ from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.flow_stepper import FlowStepper, flow_of_size
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
 from torchmbd.integrate.ode import DEFAULTS, FIXED, augment, first_step, flow
-from torchmbd.integrate.phases import loop
-from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import initial
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.math.checked_numbers import is_whole
@@ -90,12 +88,6 @@ class Torchdiffeq(Integrator):
         states = zip(times, y, strict=True)
         a, lam = (torch.stack(x) for x in zip(*(f.accelerations(t, z) for t, z in states), strict=True))
         return History(y[:, : T.n_q], y[:, T.n_q :], a, lam)
-
-    def integrate_phases(self, multiphase: MultiphaseRun) -> Statistics:
-        """See Integrator. The statistics are those of `integrate`."""
-        before = multiphase.whole.statistics["evaluations"]
-        loop.integrate(multiphase)
-        return Statistics(evaluations=multiphase.whole.statistics["evaluations"] - before)
 
     def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:
         return FlowStepper(dynamics, h, self.arguments(dynamics))

@@ -270,9 +270,6 @@ extern "C" void solve(long begin, long end, const Factor* f, const double* X, do
   }
 }
 
-// Steps `from` to `to` of block Lanczos for H = G A^-1 G, as `_extend` of lanczos.py: the next block X [lane][N][p] becomes
-// columns of Q [lane][N][room], the components of H X along Q become columns of T [lane][room][room]; X R, with R
-// [lane][p][p], is the remainder of H X.
 // One strip of eight columns of L x = y, then L' z = x, in place. Columns of a supernode have the same rows below its triangle, so
 // that C of them change a row while it is in registers.
 namespace {
@@ -363,6 +360,10 @@ extern "C" void solve_supernodes(long begin, long end, long N, long supernodes, 
     for (long i = 0; i < N; i++) std::memcpy(out + order[i] * p + from, &x[i * STRIP], columns * sizeof(double));
   }
 }
+
+// Steps `from` to `to` of block Lanczos for H = G A^-1 G, as `_extend` of lanczos.py: the next block X [lane][N][p] becomes
+// columns of Q [lane][N][room], the components of H X along Q become columns of T [lane][room][room]; X R, with R
+// [lane][p][p], is the remainder of H X.
 extern "C" void lanczos(long begin, long end, const Factor* f, const double* G, long from, long to, long room, long p, double* Q, double* T,
                         double* X, double* R) {
   const long N = f->size(), P = padded(p), most = to * p;

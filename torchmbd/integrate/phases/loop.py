@@ -50,15 +50,20 @@ _BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the p
 _SAME = 1e-9  # of a regular step: times that are equal
 
 
-def integrate(multiphase: MultiphaseRun, estimates: StepEstimates | None = None) -> Statistics:
-    """Integrate all lanes through all phases; statistics as of Stepper, the largest of all phases.
+def integrate(multiphase: MultiphaseRun) -> Statistics:
+    """Integrate all lanes through all phases, into the record of the run; statistics as of `Integrator.integrate`.
 
-    estimates   take the states and the errors of regular steps
+    Those of steppers are the largest of all phases. Alternations are measured in the second half of each phase.
     """
+    evaluations = multiphase.whole.statistics["evaluations"]
+    estimates = multiphase.integrator.estimates(multiphase.whole, multiphase.duration, multiphase.steps)
     phase_exit, largest = multiphase.start(), Statistics()
     for number in range(len(multiphase.segments)):
         phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, estimates).run()
         largest = largest.maximum(of_phase)
+    if estimates is None:
+        return replace(largest, evaluations=multiphase.whole.statistics["evaluations"] - evaluations)
+    estimates.put_into(largest, multiphase.phase_number, multiphase.every)
     return largest
 
 
