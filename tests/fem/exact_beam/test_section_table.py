@@ -152,7 +152,7 @@ def test_more_that_is_refused():
         mbd.SectionTable([0.0, 1.0], [given(*[1.0] * 6), "thin"])
     line = mbd.BeamLine([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 0, 0]], [[0, 1], [1, 2], [1, 3]])
     table = mbd.SectionTable([0.0, 1.0], [given(*[1.0] * 6)] * 2)
-    with pytest.raises(mbd.InputError, match="no chain"):
+    with pytest.raises(mbd.InputError, match="is not a chain"):
         mbd.ExactBeam("fork", line, table)
     with pytest.raises(mbd.InputError, match="2 sections for 3 elements"):
         mbd.ExactBeam("fork", line, [given(*[1.0] * 6)] * 2)
