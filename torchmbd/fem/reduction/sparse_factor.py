@@ -128,7 +128,7 @@ class Cholmod(Triangle):
         return start, rows, values, order
 
     def solve(self, X: Array) -> Array:
-        if (code := compiled_products(torch.empty(0))) is None:
+        if (code := compiled_products(torch.empty(0, dtype=torch.float64))) is None:
             return self._solved(X, WHOLE)
         if self._supernodes is None:
             self._supernodes = supernodes(*self._columns())
@@ -185,7 +185,7 @@ class SuperLU(Triangle):
 
 def solves_columns_together() -> bool:
     """Whether there is compiled code for several columns, and CHOLMOD, whose L it takes."""
-    return find_spec("cvxopt") is not None and compiled_products(torch.empty(0)) is not None
+    return find_spec("cvxopt") is not None and compiled_products(torch.empty(0, dtype=torch.float64)) is not None
 
 
 def library(size: int) -> type[Triangle]:
