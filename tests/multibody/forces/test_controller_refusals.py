@@ -35,7 +35,10 @@ BAD = {
     "detached": (lambda x, w: (w * x[:, :1]).detach(), "'weight' no gradient.*detached"),
     "unused": (lambda x, w: x[:, :1], "'weight' no gradient"),
     "inputs": (lambda x, w: w * x.detach()[:, :1], "detached from its inputs"),
-    "random": (lambda x, w: w * x[:, :1] + torch.rand(1, 1, dtype=torch.float64), "other numbers when it is called again with the same inputs"),
+    "random": (
+        lambda x, w: w * x[:, :1] + torch.rand(1, 1, dtype=torch.float64),
+        "other numbers when it is called again",
+    ),
     "raises": (lambda x, w: w * x[:, :7] @ x, "raises"),
     "lost": (lambda x, w: w * SECRET * x[:, :1], "SECRET"),
 }
