@@ -19,6 +19,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # Modules whose distribution has another name, or that belong to another distribution's interface.
 DISTRIBUTION = {
     "yaml": "pyyaml",
+    "mpl_toolkits": "matplotlib",
     "pydantic_core": "pydantic",
     "annotated_types": "annotated-types",
     "dask": "distributed",

@@ -14,8 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.statistics import Statistics
-from torchmbd.integrate.stepper import ITERATION_ERROR, ROUNDING, TURN
+from torchmbd.integrate.statistics import ITERATION_ERROR, ROUNDING, TURN, Statistics
 from torchmbd.math.pair import value
 from torchmbd.multibody.equations.equations import split_v
 from torchmbd.multibody.system.dynamics import Dynamics

@@ -18,12 +18,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, get_type_hints
+from typing import Any, ClassVar, NamedTuple, get_type_hints
 
 import torch
 from torch import Tensor
 
 from torchmbd.integrate.contacts import UnresolvedContact
+from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.multibody.equations.equations import Data
 from torchmbd.multibody.equations.topology import Schedule, Topology
@@ -31,9 +32,6 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History, Record
 from torchmbd.results.motion_data import Switch
 from torchmbd.results.state import State
-
-if TYPE_CHECKING:
-    from torchmbd.integrate.estimates import StepEstimates
 
 
 @dataclass

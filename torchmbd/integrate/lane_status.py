@@ -20,8 +20,7 @@ from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.estimates import GOOD_STEP
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult
-from torchmbd.integrate.statistics import Statistics
-from torchmbd.integrate.stepper import ITERATION_ERROR, TURN
+from torchmbd.integrate.statistics import ITERATION_ERROR, TURN, Statistics
 from torchmbd.math.pair import value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.saddle.expansion import Expansion

@@ -12,6 +12,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+# A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
+ITERATION_ERROR = 1e-2
+TURN = 1.0  # [rad] of a body in one step
+ROUNDING = 1e-10  # of coordinates, with what equations and factors add to it
+
 
 @dataclass
 class Statistics:

@@ -26,7 +26,7 @@ from torchmbd.integrate.integrator import IntegrationResult, Integrator
 from torchmbd.integrate.jumps import held_times_of, steps_at
 from torchmbd.integrate.lane_status import status_of_lanes
 from torchmbd.integrate.ode import fastest_vibration
-from torchmbd.integrate.stepper import TURN
+from torchmbd.integrate.statistics import TURN
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.times_as_lanes import as_lanes
 from torchmbd.multibody.system import Dynamics

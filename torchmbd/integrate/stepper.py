@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchmbd.integrate.integrator import Stepper
 from torchmbd.integrate.pullback import PulledBack, StepPullback
-from torchmbd.integrate.statistics import Statistics
+from torchmbd.integrate.statistics import ROUNDING, Statistics
 from torchmbd.integrate.step import algorithmic
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.equations.topology import Prescribed, Schedule
@@ -37,10 +37,6 @@ MOST = 4  # corrections of tangents
 MORE, PRECISE = 6, 1e-6
 _NEGLIGIBLE = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
 _EVEN = 1e-9  # of a correction: rounding
-# A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
-ITERATION_ERROR = 1e-2
-TURN = 1.0  # [rad] of a body in one step
-ROUNDING = 1e-10  # of coordinates, with what equations and factors add to it
 
 
 def negligible(dynamics: Dynamics) -> Tensor:

@@ -25,8 +25,9 @@ from torchmbd.extensions.native.simd_layout import (
     varied_blocks,
 )
 from torchmbd.integrate.lanes import expanded
+from torchmbd.integrate.statistics import ITERATION_ERROR
 from torchmbd.integrate.step import Model, Weights
-from torchmbd.integrate.stepper import CHECK, ITERATION_ERROR, EagerStepper
+from torchmbd.integrate.stepper import CHECK, EagerStepper
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.threads import run_blocks
 from torchmbd.multibody.equations.topology import Schedule
