@@ -29,6 +29,11 @@ def test_every_block_is_made_once_and_the_first_failure_ends_it(count: int) -> N
     assert len(made) == len(set(made))
 
 
+def test_no_block_is_nothing_to_do() -> None:
+    assert run_blocks(lambda begin, end, scratch: 1, 0) == 0
+    assert map_threads(abs, []) == []
+
+
 @pytest.mark.parametrize("count", COUNTS)
 def test_an_exception_in_any_thread_reaches_the_caller_when_all_have_ended(count: int) -> None:
     begun: list[int] = []

@@ -51,6 +51,8 @@ def run_blocks(
 
     After such a status or an exception no other piece begins. When this returns, no thread runs a piece.
     """
+    if not blocks:
+        return 0
     most = getattr(_team, "threads", None) or thread_count()
     count = min(most if threads is None else threads, blocks)
     memory = [torch.empty(-(-scratch // 8), dtype=torch.float64) for _ in range(count)]
