@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from experiments.peers import mimic_robots
-from experiments.peers.robots import folder
+from tests.experiments.test_robots import public_file
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # what is left out
 
@@ -19,9 +19,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # what is left o
 )
 def test_joints_that_mimic_others_move_as_in_the_hard_limit_of_mujoco(variable, name, joints, mimics):
     pytest.importorskip("mujoco")
-    if (base := folder(variable)) is None:
-        pytest.skip(f"{variable} names no folder")
-    result = mimic_robots.compared(base / name)
+    result = mimic_robots.compared(public_file(variable, name))
     assert (result.joints, result.mimics) == (joints, mimics)
     assert max(result.turning, result.moving) < 1e-10
     assert result.places < 1e-8

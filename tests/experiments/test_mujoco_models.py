@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from experiments.peers import mujoco_models
-from experiments.peers.robots import folder
+from tests.experiments.test_robots import public_file
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # what is left out
 
@@ -21,8 +21,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # what is left o
 )
 def test_bodies_accelerate_as_in_mujoco(variable, name, coordinates, limits):
     pytest.importorskip("mujoco")
-    if (base := folder(variable)) is None:
-        pytest.skip(f"{variable} names no folder")
-    result = mujoco_models.compared(base / name)
+    result = mujoco_models.compared(public_file(variable, name))
     assert (result.coordinates, result.stops) == (coordinates, limits)
     assert max(result.turning, result.moving) < 1e-10

@@ -11,7 +11,7 @@ from experiments.peers import robots
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # limits about a turn apart, inertia that no mass has
 
 
-def found(variable: str, path: str | Path) -> Path:
+def public_file(variable: str, path: str | Path) -> Path:
     base = robots.folder(variable)
     if base is None:
         pytest.skip(f"{variable} names no folder")
@@ -21,7 +21,7 @@ def found(variable: str, path: str | Path) -> Path:
 @pytest.mark.parametrize("name", robots.ARM_FILES, ids=lambda path: path.stem)
 def test_the_arm_of_three_joints_follows_the_recursion(name):
     """Rigid, and as its authors cut it into segments."""
-    own = robots.compared(found(robots.ARM, name))
+    own = robots.compared(public_file(robots.ARM, name))
     assert max(own.turning, own.moving) < 1e-10
 
 
@@ -35,6 +35,6 @@ def test_the_arm_of_three_joints_follows_the_recursion(name):
     ],
 )
 def test_robots_follow_the_recursion(name, coordinates, stops):
-    own = robots.compared(found(robots.ALL, name))
+    own = robots.compared(public_file(robots.ALL, name))
     assert (own.coordinates, own.stops) == (coordinates, stops)
     assert max(own.turning, own.moving) < 1e-10

@@ -154,7 +154,7 @@ class Integrator(ABC):
         """
 
     def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates | None:
-        """Of the errors of equal steps, whose states are those of these dynamics; None: the method does not know them."""
+        """Return estimates of the errors of equal steps of these dynamics; None: the method has none."""
         return None
 
     def stored_intervals(self, steps: int) -> int:

@@ -121,7 +121,7 @@ class Cholmod(Triangle):
         return np.asarray(columns)
 
     def _columns(self) -> tuple[Array, Array, Array, Array]:
-        """Where the columns of L begin, their rows and values, and the order; CHOLMOD cannot solve afterwards."""
+        """Return the starts [N + 1] of the columns of L, their rows and values, and the order; free CHOLMOD's factor."""
         order = self._solved(np.arange(self._size, dtype=float)[:, None], PERMUTED)[:, 0].astype(np.int64)
         start, rows, values = (np.asarray(x)[:, 0] for x in self._cholmod.getfactor(self._factor).CCS)
         del self._factor  # as large as L
@@ -184,7 +184,7 @@ class SuperLU(Triangle):
 
 
 def solves_columns_together() -> bool:
-    """Whether there is compiled code for several columns, and CHOLMOD, whose L it takes."""
+    """Return True if CHOLMOD is installed and compiled code can take its L."""
     return find_spec("cvxopt") is not None and compiled_products(torch.empty(0, dtype=torch.float64)) is not None
 
 
