@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from experiments.peers import mujoco_models
-from tests.experiments.test_robots import public_file
+from tests.public_files import public_file
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # what is left out
 

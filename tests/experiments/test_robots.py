@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from experiments.peers import robots
+from tests.public_files import public_file
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # limits about a turn apart, inertia that no mass has
-
-
-def public_file(variable: str, path: str | Path) -> Path:
-    base = robots.folder(variable)
-    if base is None:
-        pytest.skip(f"{variable} names no folder")
-    return base / path
 
 
 @pytest.mark.parametrize("name", robots.ARM_FILES, ids=lambda path: path.stem)
