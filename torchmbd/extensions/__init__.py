@@ -38,7 +38,7 @@ NAMES = {
     "lamination": "LaminationParameters LaminationRegion LaminationRules recover_blended_stacks recover_stacks",
     "matrices": "read_matrix",
     "meshes": "read_mesh",
-    "nastran": "read_bdf",
+    "nastran": "read_bdf write_bdf",
     "native": "",
     "openmdao": "openmdao_component",
     "paraview": "viz.save_mesh viz.save_modes viz.save_motion",

@@ -19,8 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
-from torchmbd.extensions.nastran.card import Card
-from torchmbd.extensions.nastran.cards import read_deck
+from torchmbd.extensions.nastran.cards import Deck, read_deck
 from torchmbd.extensions.nastran.control import MATRICES, TEMPERATURE, Control
 from torchmbd.extensions.nastran.data import BulkData
 from torchmbd.extensions.nastran.materials import UNITS, Units, units_of, with_density
@@ -39,12 +38,19 @@ __all__ = ["UNITS", "BulkBody", "bulk_body"]
 
 @dataclass(frozen=True, eq=False)
 class BulkBody:
-    """The body of a file; `reference` is None where nothing is held."""
+    """The body of a file.
+
+    reference   None where nothing is held
+    properties  number of the property card of each laminated part
+    digest      of the text of the file, and of those that it includes
+    """
 
     mesh: Mesh
     parts: dict[str, Part]
     links: list[Follower]
     reference: list[int] | None
+    properties: dict[str, int]
+    digest: str
 
 
 @dataclass(eq=False)
@@ -60,18 +66,16 @@ def bulk_body(path: str | Path, units: str = "m", mass: str = "lumped", density:
     Raises InputError that names file, card and line; warns of cards that are left out.
     """
     scale = units_of(units)
-    cards, control = read_deck(path)
+    deck = read_deck(path)
     try:
-        return _body(path, cards, control, scale, mass, density)
+        return _body(path, deck, scale, mass, density)
     except InputError as error:
         name = Path(path).name
         raise error if name in str(error) else InputError(f"{name}: {error}") from None
 
 
-def _body(
-    path: str | Path, cards: list[Card], control: Control | None, scale: Units, mass: str, density: float | None
-) -> BulkBody:
-    data = BulkData.of(cards)
+def _body(path: str | Path, deck: Deck, scale: Units, mass: str, density: float | None) -> BulkBody:
+    data, control = BulkData.of(deck.cards), deck.control
     _check_control(data, control)
     if density is not None:
         if not isinstance(density, (int, float)) or isinstance(density, bool) or not 0.0 < density < math.inf:
@@ -79,6 +83,7 @@ def _body(
         data.materials = with_density(data.materials, float(density), scale, data.weight_to_mass)
     bulk = bulk_mesh(data, scale.length)
     parts: dict[str, Part] = {}
+    properties: dict[str, int] = {}
     heights: dict[tuple[int, float], float] = {}
     for (number, offset), cells in bulk.zones.items():
         card = data.properties[number]
@@ -87,6 +92,7 @@ def _body(
         name = f"{card.name.lower()}_{number}"
         name = name if name not in parts else f"{name}_offset_{sum(key.startswith(name) for key in parts)}"
         parts[name] = Plates(bulk.mesh, laminate, bulk.direction, cells, mass)
+        properties[name] = number
     parts |= _beams(data, bulk, scale)
     if data.panels:
         parts["cshear"] = shear_panels(data, bulk.mesh, bulk.index, scale)
@@ -97,7 +103,8 @@ def _body(
         parts["nsm"] = extra
     _warn_ignored(data, path)
     links = followers(data.rigids, data.constraints, bulk.index, data.displacement_axes, scale.length)
-    return BulkBody(bulk.mesh, parts, [*links, *bulk.bars.links], _held(data, bulk.index))
+    held = _held(data, bulk.index)
+    return BulkBody(bulk.mesh, parts, [*links, *bulk.bars.links], held, properties, deck.digest)
 
 
 def _check_control(data: BulkData, control: Control | None) -> None:

@@ -13,9 +13,10 @@ Checked in tests/extensions/nastran/test_cards.py.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.card import Card
@@ -32,19 +33,46 @@ _PER_LINE = 8  # data fields of a line of small fields, and of a pair of lines o
 
 
 class Deck(NamedTuple):
-    """The cards of a file, and its case control; None: it has bulk data alone."""
+    """The cards of a file, and its case control; None: it has bulk data alone. The digest is that of all files read."""
 
     cards: list[Card]
     control: Control | None
+    digest: str
+
+
+class DeckText(NamedTuple):
+    """The lines of a file as they are, with those of the files that it includes, and the digest of all files read.
+
+    Bytes that are no UTF-8 are surrogates, which the error handler "surrogateescape" writes again.
+    """
+
+    lines: list[str]
+    digest: str
+
+    def bulk_lines(self) -> Lines:
+        """Return the lines of the bulk data without comments, each with its index in `lines`."""
+        return _sections(list(_without_comments((str(k), line) for k, line in enumerate(self.lines))))[1]
 
 
 def read_deck(path: str | Path) -> Deck:
     """Read a file. InputError names the line where the format is broken."""
-    if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
-        raise InputError("path", str(path), "a Nastran bulk data file that exists")
-    above, bulk = _sections(list(_Files(file).read(file, ())))
+    files = _Files(_existing("path", path))
+    above, bulk = _sections(list(_without_comments(files.read())))
     parameters = [(where, line) for where, line in above or [] if line.lstrip().upper().startswith("PARAM")]
-    return Deck(parse_cards([*parameters, *bulk]), None if above is None else Control.of(above))
+    control = None if above is None else Control.of(above)
+    return Deck(parse_cards([*parameters, *bulk]), control, files.hash.hexdigest())
+
+
+def read_text(argument: str, path: str | Path) -> DeckText:
+    """Read the lines of a file as they are; each INCLUDE gives way to the lines of the file that it names."""
+    files = _Files(_existing(argument, path), "surrogateescape")
+    return DeckText([line for _, line in files.read()], files.hash.hexdigest())
+
+
+def _existing(argument: str, path: Any) -> Path:
+    if not isinstance(path, (str, Path)) or not Path(path).is_file():
+        raise InputError(argument, str(path), "a Nastran bulk data file that exists")
+    return Path(path)
 
 
 def read_cards(path: str | Path) -> list[Card]:
@@ -97,13 +125,28 @@ def parse_cards(lines: Lines) -> list[Card]:
     return cards
 
 
+def line_kind(line: str) -> str:
+    """Return "card", "continuation", or "repetition" for a line that repeats the card before it."""
+    head, data, _ = _split(line, "")
+    repetition = head[:1] == "=" or repeats(data)
+    return "repetition" if repetition else "continuation" if head[:1] in ("", "+", "*") else "card"
+
+
 class _Files:
-    """Lines of a file and of those that it includes, from its own folder only; what is read is bounded."""
+    """Lines of a file and of those that it includes, from its own folder only; what is read is bounded.
 
-    def __init__(self, first: Path) -> None:
-        self.folder, self.lines, self.files = first.resolve().parent, 0, 0
+    errors  how bytes that are no UTF-8 are read: as `open` takes it
+    """
 
-    def read(self, file: Path, opened: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
+    def __init__(self, first: Path, errors: str = "replace") -> None:
+        self.first, self.folder, self.lines, self.files = first, first.resolve().parent, 0, 0
+        self.errors, self.hash = errors, hashlib.sha256()
+
+    def read(self) -> Iterator[tuple[str, str]]:
+        """Yield (where, line) with comments and ends of lines."""
+        return self._read(self.first, ())
+
+    def _read(self, file: Path, opened: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
         file, self.files = file.resolve(), self.files + 1
         if file in opened:
             raise InputError(f"{file.name}: INCLUDE runs in a circle")
@@ -115,25 +158,25 @@ class _Files:
             raise InputError(
                 f"{file.name} has {file.stat().st_size} bytes; allowed: {LINES} lines, {_BYTES * LINES} bytes"
             )
-        with file.open(encoding="utf-8-sig", errors="replace") as handle:
+        self.hash.update(file.read_bytes())
+        with file.open(encoding="utf-8-sig", errors=self.errors, newline="") as handle:
             numbered = enumerate(iter(lambda: handle.readline(WIDEST), ""), start=1)
             for number, raw in numbered:
                 self.lines += 1
                 where = f"{file.name}, line {number}"
                 if self.lines > LINES or len(raw) >= WIDEST:
                     raise InputError(f"{where}: allowed: {LINES} lines of at most {WIDEST} characters")
-                line = raw.partition("$")[0].rstrip()
-                if not line.upper().lstrip().startswith("INCLUDE"):
-                    if line:
-                        yield where, line
+                line = raw.partition("$")[0].strip()
+                if not line.upper().startswith("INCLUDE"):
+                    yield where, raw
                     continue
-                named = line.strip()[len("INCLUDE") :].strip()
+                named = line[len("INCLUDE") :].strip()
                 while named[:1] in ("'", '"') and named.count(named[0]) < 2:  # the name goes on
                     _, more = next(numbered, (0, ""))
                     if not more:
                         raise InputError(f"{where}: INCLUDE of {named!r} has no closing quote")
                     named += more.strip()
-                yield from self.read(self._target(file, named.strip("'\" "), where), (*opened, file))
+                yield from self._read(self._target(file, named.strip("'\" "), where), (*opened, file))
 
     def _target(self, file: Path, named: str, where: str) -> Path:
         """The file that INCLUDE names: beside the file that includes it, or beside the first one."""
@@ -149,6 +192,13 @@ class _Files:
             if is_file:
                 return target
         raise InputError(f"{where}: INCLUDE of {named!r}; allowed: a file that exists")
+
+
+def _without_comments(lines: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Yield the lines that have more than a comment, without it."""
+    for where, raw in lines:
+        if line := raw.partition("$")[0].rstrip():
+            yield where, line
 
 
 def _sections(lines: Lines) -> tuple[Lines | None, Lines]:

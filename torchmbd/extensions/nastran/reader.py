@@ -10,6 +10,7 @@ from typing import Any
 
 from torchmbd.errors import checked_signature
 from torchmbd.extensions.nastran.body import bulk_body
+from torchmbd.extensions.nastran.writer import NastranBody, Source
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.unit_checks import warn_units
 
@@ -46,6 +47,7 @@ def read_bdf(
     """
     deck = bulk_body(path, units, mass, density)
     options = {"reference": deck.reference} | options
-    body = FlexibleBody(name, deck.mesh, deck.parts, modes, links=deck.links, **options)
+    body = NastranBody(name, deck.mesh, deck.parts, modes, links=deck.links, **options)
+    body.source = Source(deck.digest, units, deck.properties)
     warn_units(name, deck.mesh, body.plates.values(), body.structure)
     return body

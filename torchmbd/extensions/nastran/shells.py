@@ -109,24 +109,32 @@ def _stack(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
     if kind not in ("", "SYM"):
         raise InputError(f"{card}: LAM is {kind!r}; allowed: blank, SYM")
     materials, thicknesses, angles = [], [], []
-    first, step = (10, 8) if card.name == "PCOMPG" else (9, 4)  # a PCOMPG has a line for each ply, its number before
-    for start in range(first, len(card.fields) + 1, step):
-        if not any(card.text(start + k) for k in range(4)):  # SOUT alone makes a ply, too
-            continue
+    for start in ply_places(card):
         materials.append(card.integer(start, "MID", materials[-1] if materials else None))
         thicknesses.append(card.real(start + 1, "T", thicknesses[-1] if thicknesses else None))
         angles.append(card.real(start + 2, "THETA", 0.0))
     if not materials:
         raise InputError(f"{card}: it has no plies")
     total = sum(thicknesses) * (2.0 if kind == "SYM" else 1.0)
-    height = card.real(2, "Z0", -total / 2.0) + total / 2.0
-    if abs(height) > 1e-4 * total:  # Z0 is written with a few digits
-        offset = offset + height * units.length
+    if not is_centered(card, total):
+        offset = offset + (card.real(2, "Z0") + total / 2.0) * units.length
     plies = [ply_of(data.material(card, number), units, data.weight_to_mass) for number in materials]
     plies = [_with_extra_mass(ply, card, 3, total * units.length, data, units) for ply in plies]
     thicknesses = [t * units.length for t in thicknesses]
     symmetric = kind == "SYM"
     return Laminate(plies, deg(angles), thicknesses, symmetric=symmetric, shear_correction="energy", offset=offset)
+
+
+def ply_places(card: Card) -> list[int]:
+    """Positions of MID, before T and THETA, of the plies of a PCOMP or PCOMPG; SOUT alone makes a ply, too."""
+    first, step = (10, 8) if card.name == "PCOMPG" else (9, 4)  # a PCOMPG has a line for each ply, its number before
+    starts = range(first, len(card.fields) + 1, step)
+    return [start for start in starts if any(card.text(start + k) for k in range(4))]
+
+
+def is_centered(card: Card, total: float) -> bool:
+    """Whether the middle of a PCOMP of some thickness lies in the plane of the grids; Z0 is written with a few digits."""
+    return abs(card.real(2, "Z0", -total / 2.0) + total / 2.0) <= 1e-4 * total
 
 
 def _with_extra_mass(ply: Ply, card: Card, position: int, thickness: float, data: BulkData, units: Units) -> Ply:
