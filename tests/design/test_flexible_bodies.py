@@ -26,7 +26,7 @@ def test_bodies_of_a_result_have_its_design():
     before = model.system.body("arm").laminate.angles.detach().clone()
     for wrapped in (model, mbd.RobustProblem(model, 0.01, "worst")):
         result: Any = SimpleNamespace(problem=wrapped, x=np.array([0.1, 0.2, 1.0])[: len(wrapped.names)])
-        [arm] = flexible_bodies("design", result)
+        arm: Any = flexible_bodies("design", result)[0]
         assert arm.laminate.angles.tolist() == [0.1, 0.2]
     assert torch.equal(model.system.body("arm").laminate.angles, before)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -35,7 +38,12 @@ def deck_text(changes: dict[str, str], **options) -> str:
     return text
 
 
-def moved(body: mbd.FlexibleBody) -> mbd.FlexibleBody:
+def read(path: Path, name: str, modes: int, **options) -> Any:
+    """The body of a file, whose laminates are attributes."""
+    return mbd.read_bdf(path, name, modes, **options)
+
+
+def moved(body: Any) -> Any:
     """The body with other plies."""
     with torch.no_grad():
         body.laminate.angles.copy_(ANGLES)
@@ -56,10 +64,10 @@ def test_a_deck_read_again_is_the_design(changes, tmp_path):
     """Mass and frequencies agree to 1e-9, and every line outside the card of the plies is the line of the deck."""
     deck = tmp_path / "model.bdf"
     deck.write_text(deck_text(changes))
-    body = moved(mbd.read_bdf(deck, "plate", 3))
+    body = moved(read(deck, "plate", 3))
     path = mbd.write_bdf(body, deck)
     assert path == tmp_path / "model_optimized.bdf"
-    same(body, mbd.read_bdf(path, "plate", 3))
+    same(body, read(path, "plate", 3))
     old, new = (file.read_text().splitlines() for file in (deck, path))
     first = next(k for k, line in enumerate(old) if line.startswith("PCOMP"))
     last = next(k for k, line in enumerate(old) if line.startswith("GRID"))
@@ -72,9 +80,9 @@ def test_units_of_the_deck_are_those_that_it_was_read_in(tmp_path):
     """A deck in millimeters gets millimeters."""
     deck = tmp_path / "model.bdf"
     deck.write_text(deck_text({}, millimeters=True))
-    body = moved(mbd.read_bdf(deck, "plate", 3, units="mm"))
+    body = moved(read(deck, "plate", 3, units="mm"))
     path = mbd.write_bdf(body, deck, tmp_path / "other.bdf")
-    same(body, mbd.read_bdf(path, "plate", 3, units="mm"))
+    same(body, read(path, "plate", 3, units="mm"))
     assert "1.1" in path.read_text()
 
 
@@ -82,7 +90,7 @@ def test_a_design_that_did_not_change_leaves_every_byte(tmp_path):
     """Line ends of Windows, bytes that are no UTF-8, and no end of the last line."""
     deck = tmp_path / "model.bdf"
     deck.write_bytes(deck_text({}).replace("\n", "\r\n").encode().rstrip() + b"\r\n$ M\xfcnchen")
-    body = mbd.read_bdf(deck, "plate", 3)
+    body = read(deck, "plate", 3)
     path = mbd.write_bdf(body, deck)
     assert path.read_bytes() == deck.read_bytes()
     mbd.write_bdf(moved(body), deck)
@@ -98,9 +106,9 @@ def test_included_files_become_one_deck(tmp_path):
     deck, plies = tmp_path / "model.bdf", tmp_path / "plies.inc"
     deck.write_text(f"{text[:start]}INCLUDE 'plies.inc'\n{text[end:]}")
     plies.write_text(text[start:end].rstrip())
-    body = moved(mbd.read_bdf(deck, "plate", 3))
+    body = moved(read(deck, "plate", 3))
     path = mbd.write_bdf(body, deck)
-    same(body, mbd.read_bdf(path, "plate", 3))
+    same(body, read(path, "plate", 3))
     assert plies.read_text() == text[start:end].rstrip()
     plies.write_text(text[start:end])
     with pytest.raises(InputError, match=r"deck = .*contents that were read"):
@@ -113,13 +121,13 @@ def test_pshell_and_nsm_follow_the_thickness(tmp_path):
     shell = "PSHELL,7,2,3.-3,2,,,,.5\nMAT1,2,7.+10,,.3,2700."
     text = deck_text({"PCOMP,7,,,,TSAI": "PCOMP,8,,.5,,TSAI"}).replace("GRID,1,", f"{shell}\nGRID,1,")
     deck.write_text(text.replace("CQUAD4,2,7", "CQUAD4,2,8"))
-    body = mbd.read_bdf(deck, "plate", 3)
+    body = read(deck, "plate", 3)
     with torch.no_grad():
         body.pcomp_8.thickness[0] *= 1.5
         body.pshell_7.thickness.mul_(0.7)
     with pytest.warns(UserWarning, match="NSM is written as"):
         path = mbd.write_bdf(body, deck)
-    same(body, mbd.read_bdf(path, "plate", 3))
+    same(body, read(path, "plate", 3))
     with torch.no_grad():
         body.pshell_7.angles.fill_(0.1)
     with (
@@ -135,11 +143,11 @@ def test_a_global_ply_stack_is_written(tmp_path):
     plies = "\n".join(f",{n},1,{t},{angle},YES,,," for n, t, angle in ((11, "1.-3", "20."), (12, "2.-3", "-50.")))
     text = deck_text({})
     deck.write_text(text[: text.index("PCOMP")] + f"PCOMPG,7,,,,TSAI\n{plies}\n" + text[text.index("GRID") :])
-    body = mbd.read_bdf(deck, "plate", 3)
+    body = read(deck, "plate", 3)
     with torch.no_grad():
         body.laminate.angles.copy_(ANGLES[:2])
     path = mbd.write_bdf(body, deck)
-    same(body, mbd.read_bdf(path, "plate", 3))
+    same(body, read(path, "plate", 3))
 
 
 @pytest.mark.thorough
@@ -147,16 +155,14 @@ def test_the_best_design_of_an_optimization_is_written(tmp_path):
     """The result has the design, its system keeps the numbers of before; a multistart has its best."""
     deck = tmp_path / "model.bdf"
     deck.write_text(deck_text({}))
-    body = mbd.read_bdf(deck, "plate", 2)
+    body = read(deck, "plate", 2)
     system = mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("spc_1"))], gravity=(0, 0, -9.81))
     energy = mbd.Integral(mbd.StrainEnergy("plate"))
     problem = mbd.Problem(system, 0.01, energy, steps=4, bounds=mbd.deg([-90, 90]))
     result = mbd.optimize(problem, max_iterations=1)
     assert not np.allclose(result.x, problem.start)
     path = mbd.write_bdf(result, deck)
-    assert_close(
-        mbd.read_bdf(path, "plate", 2).laminate.angles.detach(), torch.from_numpy(result.x), rtol=1e-11, atol=0
-    )
+    assert_close(read(path, "plate", 2).laminate.angles.detach(), torch.from_numpy(result.x), rtol=1e-11, atol=0)
     assert_close(body.laminate.angles.detach(), torch.from_numpy(problem.start))
     searches = mbd.multistart(problem, starts=[result.x], max_iterations=1)
     assert mbd.write_bdf(searches, deck, tmp_path / "best.bdf").is_file()
@@ -167,7 +173,7 @@ def test_bad_input_is_refused(tmp_path):
     """Another deck, the deck itself as target, a body of no deck, repeated cards, two designs of one card."""
     deck = tmp_path / "model.bdf"
     deck.write_text(deck_text({}))
-    body = moved(mbd.read_bdf(deck, "plate", 3))
+    body = moved(read(deck, "plate", 3))
     with pytest.raises(InputError, match=r"path is .*; allowed: another file than the deck"):
         mbd.write_bdf(body, deck, deck)
     with pytest.raises(InputError, match=r"deck is .*; allowed: a Nastran bulk data file"):
@@ -191,7 +197,7 @@ def test_a_repeated_card_is_refused(tmp_path):
     deck.write_text(
         text[: text.index("PCOMP")] + cards + text[text.index("GRID") :].replace("CQUAD4,2,7", "CQUAD4,2,8")
     )
-    body = mbd.read_bdf(deck, "plate", 3)
+    body = read(deck, "plate", 3)
     for part in (body.pshell_7, body.pshell_8):
         with torch.no_grad():
             part.thickness.mul_(2.0)
@@ -203,11 +209,11 @@ def test_a_card_of_several_parts_needs_one_design(tmp_path):
     """Elements of two ZOFFS are two parts with parameters of their own."""
     deck = tmp_path / "model.bdf"
     deck.write_text(deck_text({"102,2,0.\n": "102,2,0.,1.-3\n"}))
-    body = mbd.read_bdf(deck, "plate", 3)
+    body = read(deck, "plate", 3)
     with torch.no_grad():
         body.pcomp_7.angles.copy_(ANGLES)
     with pytest.raises(InputError, match=r"PCOMP 7 is one card of plate\.pcomp_7 and plate\.pcomp_7_offset_1"):
         mbd.write_bdf(body, deck)
     with torch.no_grad():
         body.pcomp_7_offset_1.angles.copy_(ANGLES)
-    same(body, mbd.read_bdf(mbd.write_bdf(body, deck), "plate", 3))
+    same(body, read(mbd.write_bdf(body, deck), "plate", 3))
