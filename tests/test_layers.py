@@ -32,7 +32,7 @@ LAYERS = (
     {"optimization"},
     {"design"},
     {"viz", "tracking", "examples"},
-    {"extensions.beamdyn", "extensions.fatigue", "extensions.fibers", "extensions.nastran"},
+    {"extensions.beamdyn", "extensions.fatigue", "extensions.fibers", "extensions.nastran", "extensions.ply_book"},
     {"extensions.native"},
     {
         "extensions.lamination",
@@ -40,6 +40,7 @@ LAYERS = (
         "extensions.meshes",
         "extensions.openmdao",
         "extensions.robots",
+        "extensions.shell_models",
         "extensions.windio",
     },
     {"extensions.buckling", "extensions.paraview", "extensions.vibrations"},

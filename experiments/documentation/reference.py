@@ -28,7 +28,8 @@ GROUPS: dict[str, str] = {
     "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
     "recover_stacks recover_blended_stacks progressive_failure deg",
     "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable read_beamdyn read_windio",
-    "bodies": "Ground RigidBody FlexibleBody read_bdf write_bdf read_mesh read_matrix Frame Interface",
+    "bodies": "Ground RigidBody FlexibleBody read_bdf write_bdf write_model write_ply_book read_mesh read_matrix "
+    "Frame Interface",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed JointCoupling Drive "
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "

@@ -23,7 +23,9 @@ if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
     from torchmbd.extensions.native import *  # noqa: F403
     from torchmbd.extensions.openmdao import *  # noqa: F403
     from torchmbd.extensions.paraview import *  # noqa: F403
+    from torchmbd.extensions.ply_book import *  # noqa: F403
     from torchmbd.extensions.robots import *  # noqa: F403
+    from torchmbd.extensions.shell_models import *  # noqa: F403
     from torchmbd.extensions.vibrations import *  # noqa: F403
     from torchmbd.extensions.windio import *  # noqa: F403
 
@@ -42,14 +44,22 @@ NAMES = {
     "native": "",
     "openmdao": "openmdao_component",
     "paraview": "viz.save_mesh viz.save_modes viz.save_motion",
+    "ply_book": "write_ply_book",
     "robots": "read_mjcf read_urdf",
+    "shell_models": "write_model",
     "vibrations": "Campbell CampbellClearance CriticalSpeed DampingRatio FrequencyResponse LinearSystem StabilityLimit"
     " StabilityMargin SystemFrequency campbell frozen_poles linearize",
     "vibrations.pictures": "viz.animate_mode viz.campbell viz.mode_motion viz.root_locus",
     "windio": "read_windio",
 }
 #: Extension -> those that it imports: without them it is not there either.
-NEEDS = {"identification": ("vibrations",), "lamination": ("fibers",), "matrices": ("nastran",), "meshes": ("nastran",)}
+NEEDS = {
+    "identification": ("vibrations",),
+    "lamination": ("fibers",),
+    "matrices": ("nastran",),
+    "meshes": ("nastran",),
+    "shell_models": ("nastran",),
+}
 #: Registry (Registry(name, ...) in the core: responses, backends, kinds of experiment files, ...) -> name -> "module:object".
 ENTRIES: dict[str, dict[str, str]] = {
     "backends": {"native": "native:NativeBackend"},
