@@ -127,7 +127,8 @@ def test_bad_input_is_refused(tmp_path):
         ({"body": "plat"}, "body 'plat' does not exist"),
     ):
         with pytest.raises(InputError, match=match):
-            mbd.write_model(**{"design": body, "path": path} | arguments)
+            options: dict[str, Any] = {"design": body, "path": path} | arguments
+            mbd.write_model(**options)
     other = mbd.FlexibleBody.plate("other", body.mesh, body.first, 2)
     with pytest.raises(InputError, match="body is None; allowed: the name of one of plate, other"):
         mbd.write_model(mbd.System([body, other], free=["plate", "other"]), path)

@@ -14,7 +14,7 @@ import numpy as np
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import Laminate, Ply
-from torchmbd.math.variable import number, without_variables
+from torchmbd.math.variable import without_variables
 from torchmbd.multibody.bodies import FlexibleBody
 
 
@@ -95,5 +95,5 @@ def _stack(full_name: str, name: str, laminate: Laminate, materials: dict[Any, P
 def _constant(layer: Any) -> Ply:
     """The ply with the present values of its variables."""
     ply = without_variables(layer)
-    moduli = (float(number(x)) for x in (ply.E1, ply.E2, ply.G12, ply.G13, ply.G23, ply.nu12))
-    return Ply(*moduli, float(number(ply.density)), ply.strength, float(number(ply.loss)))
+    E1, E2, G12, G13, G23 = (float(x) for x in (ply.E1, ply.E2, ply.G12, ply.G13, ply.G23))
+    return Ply(E1, E2, G12, G13, G23, float(ply.nu12), float(ply.density), ply.strength, float(ply.loss))
