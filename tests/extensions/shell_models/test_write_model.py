@@ -126,8 +126,8 @@ def test_bad_input_is_refused(tmp_path):
         ({"modes": 0}, "modes is 0; allowed: a whole number, 1 or more"),
         ({"body": "plat"}, "body 'plat' does not exist"),
     ):
+        options: dict[str, Any] = {"design": body, "path": path} | arguments
         with pytest.raises(InputError, match=match):
-            options: dict[str, Any] = {"design": body, "path": path} | arguments
             mbd.write_model(**options)
     other = mbd.FlexibleBody.plate("other", body.mesh, body.first, 2)
     with pytest.raises(InputError, match="body is None; allowed: the name of one of plate, other"):
