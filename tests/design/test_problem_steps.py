@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections import OrderedDict
 
 import numpy as np
 import pytest
@@ -15,6 +17,26 @@ from torchmbd.errors import InputError
 from torchmbd.progress import stages_told
 
 pytestmark = pytest.mark.usefixtures("compiled")
+
+
+@pytest.fixture(autouse=True)
+def no_earlier_problems(monkeypatch):
+    """Problems of other tests, whose errors are known, are not equal to those of this one."""
+    monkeypatch.setattr(problem_steps, "_of_equal_problems", OrderedDict())
+
+
+@pytest.fixture
+def simulated(monkeypatch) -> list[int]:
+    """The steps of every motion from now on."""
+    steps, simulate = [], mbd.Simulation.__call__
+
+    def call(*args, **options):
+        motion = simulate(*args, **options)
+        steps.append(motion.repetition.steps)
+        return motion
+
+    monkeypatch.setattr(mbd.Simulation, "__call__", call)
+    return steps
 
 
 def mass_on_a_spring(stiffness: float = 4.0e3, mass: float = 1.0) -> mbd.System:
@@ -186,6 +208,52 @@ def test_the_choice_is_a_stage():
     with stages_told(heard.append):
         _ = problem().steps
     assert heard[0] == "choosing the steps for the start design"
+
+
+@pytest.mark.thorough
+def test_a_choice_costs_half_a_motion_more_than_the_motion_that_it_chooses(simulated):
+    """The motion by the chosen steps is compared with one of 2.3 times longer steps."""
+    chosen = problem(mbd.RMS(mbd.Position("bob", "x"))).steps or 0
+    assert chosen in simulated
+    assert sum(simulated) < 1.5 * chosen
+
+
+@pytest.mark.thorough
+def test_equal_problems_choose_once(simulated):
+    """Two systems of equal contents are equal; another number of the system or the motion is not."""
+    rms = mbd.RMS(mbd.Position("bob", "x"))
+    first = problem(rms).steps
+    simulated.clear()
+    assert problem(rms).steps == first
+    assert problem(rms).coarse is None
+    assert simulated == []
+    stiff = mbd.Problem(mass_on_a_spring(8.0e3), 1.0, rms, variables=["bob.mass"], bounds=(0.5, 2.0))
+    others = problem(rms, tolerance=0.02), problem(rms, 1.5), problem(2.0 * rms + 1.0), problem(rms, start=[0.6]), stiff
+    for other in others:
+        simulated.clear()
+        assert other.steps
+        assert simulated
+
+
+@pytest.mark.thorough
+def test_a_problem_that_cannot_be_compared_chooses_for_itself(simulated):
+    """As one whose response holds a lock: nothing of it is kept for others."""
+
+    class Locked(mbd.Position):
+        def __init__(self, *args):
+            super().__init__(*args)
+            self.lock = threading.Lock()
+
+    steps = {problem(mbd.RMS(Locked("bob", "x"))).steps for _ in range(2)}
+    assert len(steps) == 1
+    assert len(set(simulated)) * 2 == len(simulated)
+
+
+def test_processes_take_the_steps_of_the_problem():
+    """A copy of the problem in another process does not choose again."""
+    chosen = problem()
+    make, arguments = mbd.Processes(chosen, 1).factory
+    assert make(*arguments).simulation.steps == chosen.steps  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_an_unknown_error_names_its_response_and_the_reason():

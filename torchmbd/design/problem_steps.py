@@ -5,11 +5,16 @@
 e of n steps is estimated by a motion of half of them, whose error is four times as large; where that is resolved, its error
 by up to FAR times its own steps is known as well, and needs no motion. The first n is that of the motion
 (integrate/step_count.py), by the error of its largest vibrations; a response may ask for more: a residual vibration, a
-difference of large numbers. Errors are measured by the size of a response (`Measure.size`), which no constant part changes: a
-constraint by the larger of its size and its distance from the limit; the objective of a design that a search has found by the
-larger of its size and a tenth of that of the start. Where no number of steps up to MOST times the first, or
-up to MOST_STEPS, reaches the tolerance (impacts, stiff contacts, chaos), the steps with the least error are taken, and a
-warning says error and steps.
+difference of large numbers. This first motion is compared with one of 2.3 times longer steps; only where the errors of these
+are above the tolerance, it is compared with one of shorter steps. Errors are measured by the size of a response
+(`Measure.size`), which no constant part changes: a constraint by the larger of its size and its distance from the limit; the
+objective of a design that a search has found by the larger of its size and a tenth of that of the start. Where no number of
+steps up to MOST times the first, or up to MOST_STEPS, reaches the tolerance (impacts, stiff contacts, chaos), the steps with
+the least error are taken, and a warning says error and steps.
+
+Errors of motions are kept for the last KEPT problems of a process by the digest of their settings (math/digest.py), so that
+two equal problems choose once. Another number anywhere in the system, the motion or the responses is another digest. A problem
+whose contents have no digest keeps its errors for itself.
 Checked in tests/design/test_problem_steps.py.
 """
 
@@ -17,6 +22,8 @@ from __future__ import annotations
 
 import copy
 import math
+import warnings
+from collections import OrderedDict
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -31,12 +38,14 @@ from torchmbd.integrate import Trajectory
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.step_count import rounding
 from torchmbd.math.checked_numbers import is_real
+from torchmbd.math.digest import digest
 from torchmbd.progress import stage
 from torchmbd.results.motion_data import OK
 from torchmbd.results.response_error import response_error, rows_of
 
 TOLERANCE = 0.01  # of every response and of every limit
 COARSE = 10.0  # times the tolerance, far from an optimum
+KEPT = 16  # problems whose errors a process keeps
 MOST, MOST_STEPS = 16, 100_000  # times the first steps; steps
 _MOST_REFINED = 4  # times the steps of a search, which asks again
 _OF_START = 0.1  # of the objective at the start, whose share counts where a search brings the objective to nothing
@@ -120,8 +129,8 @@ def steps_for(
     """
     tolerance = tolerance or problem.tolerance
     enough = tolerance or 0.0
-    errors = _errors_of(problem, x, steps, least_size, enough) if steps else _errors(problem, x, None, least_size)
-    n = steps or errors.choice.steps
+    errors = _errors_of(problem, x, steps, least_size, enough) if steps else _first_errors(problem, x)
+    n = steps or errors.first
     if n is None or errors.multiple is None or tolerance is None:
         return StepChoice(n)
     limit, tried = min(most * n, max(MOST_STEPS, n)), []
@@ -157,7 +166,7 @@ def refined_problem(problem: Any, x: np.ndarray) -> Any:
     """The problem with the steps that a design [n] needs; None: it has them, or steps were given."""
     if not problem.chooses_steps or problem.steps is None:
         return None
-    size = _OF_START * _errors(problem, problem.start, None, 0.0).objective
+    size = _OF_START * _first_errors(problem, problem.start).objective
     choice = steps_for(problem, x, problem.steps, most=_MOST_REFINED, least_size=size)
     if choice.steps is None or choice.steps <= problem.steps:
         return None
@@ -173,7 +182,7 @@ def with_steps(problem: Any, steps: int) -> Any:
     for name in ("reference", "steps", "coarse"):
         other.__dict__.pop(name, None)
     other.simulation = problem.simulation.with_steps(steps)
-    _known[other] = _known.setdefault(problem, {})  # the errors of motions by given numbers of steps
+    _known[other] = _known_of(problem)  # the errors of motions by given numbers of steps
     return other
 
 
@@ -188,11 +197,13 @@ class _Errors(NamedTuple):
     choice     their steps, and the largest error of all responses in all lanes
     multiple   number that divides the steps of every motion; None: the motions fail, or their method has no estimate
     objective  the size of the objective, the largest of all lanes; 0: not known
+    first      steps that the motions choose themselves; None: steps were given, or the motions fail
     """
 
     choice: StepChoice
     multiple: int | None
     objective: float = 0.0
+    first: int | None = None
 
 
 def _errors_of(problem: Any, x: np.ndarray, steps: int, least_size: float, enough: float) -> _Errors:
@@ -204,16 +215,59 @@ def _errors_of(problem: Any, x: np.ndarray, steps: int, least_size: float, enoug
     return errors if errors.multiple is not None else _errors(problem, x, steps, least_size)
 
 
-def _errors(problem: Any, x: np.ndarray, steps: int | None, least_size: float, enough: float = 0.0) -> _Errors:
-    """Simulate a design [n] by so many steps, or as many as its motions choose, and estimate the errors; once for each."""
-    known = _known.setdefault(problem, {})
-    key = (np.asarray(x, dtype=float).tobytes(), steps, least_size, enough)
+def _first_errors(problem: Any, x: np.ndarray) -> _Errors:
+    """Errors of a design [n] by motions of longer steps than its motions choose; once for each design.
+
+    Where these are not within the tolerance, the errors of the motions themselves are estimated.
+    """
+    known, key = _known_of(problem), (np.asarray(x, dtype=float).tobytes(), None)
+    if key not in known:
+        motions = _motions(problem, x, None)
+        first = motions[0].integration.steps if motions else None
+        longer = [motion.by_longer_steps() for motion in motions if isinstance(motion.repetition.integrator, OneStep)]
+        sound = [motion for motion in longer if motion is not None and all(status == OK for status in motion.status)]
+        steps = {motion.integration.steps for motion in sound}
+        errors = None
+        if motions and len(sound) == len(motions) and len(steps) == 1:
+            errors = _estimated(problem, sound, None, 0.0, problem.tolerance or 0.0)
+        if errors is None or not errors.choice.meets(problem.tolerance or 0.0):
+            errors = _estimated(problem, motions, None, 0.0, 0.0)
+        known[key] = errors._replace(first=first)
+    return known[key]
+
+
+def _errors(problem: Any, x: np.ndarray, steps: int, least_size: float, enough: float = 0.0) -> _Errors:
+    """Simulate a design [n] by equal steps, and estimate the errors; once for each design and number of steps."""
+    known, key = _known_of(problem), (np.asarray(x, dtype=float).tobytes(), steps, least_size, enough)
     if key not in known:
         known[key] = _estimated(problem, _motions(problem, x, steps), steps, least_size, enough)
     return known[key]
 
 
 _known: WeakKeyDictionary[Any, dict[tuple, _Errors]] = WeakKeyDictionary()  # of each problem
+_of_equal_problems: OrderedDict[str, dict[tuple, _Errors]] = OrderedDict()  # by the digest of their settings
+
+
+def _known_of(problem: Any) -> dict[tuple, _Errors]:
+    """Errors by designs and steps that are known of a problem, or of an equal one before it."""
+    if problem not in _known:
+        key = _digest_of(problem)
+        _known[problem] = {} if key is None else _of_equal_problems.pop(key, {})
+        if key is not None:
+            _of_equal_problems[key] = _known[problem]
+        while len(_of_equal_problems) > KEPT:
+            _of_equal_problems.popitem(last=False)
+    return _known[problem]
+
+
+def _digest_of(problem: Any) -> str | None:
+    """The digest of all that motions and responses depend on; None: contents of the problem cannot be compared."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            return digest(type(problem), *problem.settings())
+        except Exception:  # of whatever the problem holds
+            return None
 
 
 def _motions(problem: Any, x: np.ndarray, steps: int | None) -> list[Trajectory]:

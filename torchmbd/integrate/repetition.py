@@ -92,6 +92,21 @@ class Repetition:
             warnings.simplefilter("ignore")
             return self._again(self.designs, steps=self.steps // 2)
 
+    def by_longer_steps(self) -> Any | None:
+        """The motion with steps FINER times as long, values only, without its warnings; None where there is none.
+
+        Its number of steps shares no factor with that of the motion, as in `finer`.
+        """
+        parts = -(-self.steps // self.multiple)
+        coarse = math.floor(parts / FINER)
+        while coarse > 1 and math.gcd(coarse, parts) > 1:
+            coarse -= 1
+        if self.order is None or coarse < 1:
+            return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return self._again(self.designs, steps=self.multiple * coarse)
+
     def richer(self, motion: Any) -> Any | None:
         """The same steps with more modes of all flexible bodies, values only; None where no body has further modes.
 

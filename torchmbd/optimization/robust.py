@@ -115,6 +115,22 @@ class RobustProblem:
         return self.over(self.problem.refined(self.design(x))) if refine else None  # type: ignore[attr-defined]
 
     @property
+    def chooses_steps(self) -> bool:
+        """Whether the problem within tolerances chooses the steps of its motions."""
+        return hasattr(type(self.problem), "at_steps") and self.problem.chooses_steps  # type: ignore[attr-defined]
+
+    @property
+    def steps(self) -> int | None:
+        """Steps of all motions; None: there are none, or the start cannot be simulated."""
+        return getattr(self.problem, "steps", None)
+
+    def at_steps(self, steps: int) -> RobustProblem:
+        """The problem by another number of steps."""
+        other = self.over(self.problem.at_steps(steps))  # type: ignore[attr-defined]
+        assert other is not None
+        return other
+
+    @property
     def accuracy(self) -> str:
         """By what designs are evaluated."""
         return getattr(self.problem, "accuracy", "")

@@ -89,6 +89,13 @@ class Trajectory(MotionData):
         """The same motion with half the steps, kept likewise; None: of adaptive methods, and odd numbers of steps."""
         return self._kept(0.5, self.repetition.coarser)
 
+    def by_longer_steps(self) -> Trajectory | None:
+        """The same motion with steps 2.3 times as long, whose motion with finer steps is this one; None: as of `coarser`."""
+        longer = self._kept("longer", self.repetition.by_longer_steps)
+        if longer is not None:
+            longer._again[2] = self
+        return longer
+
     def richer(self) -> Trajectory | None:
         """The same motion with more modes (integrate/repetition.py), kept likewise; None where there are no more."""
         return self._kept("modes", lambda: self.repetition.richer(self))

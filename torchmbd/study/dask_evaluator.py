@@ -47,12 +47,12 @@ def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, s
             raise InputError("workers = 0: must be 1 or more, of all jobs together, with a cluster file")
         if shutil.which("sbatch") is None:
             raise InputError(f"scheduler = {scheduler!r}: this machine has no sbatch. Try: a machine of the cluster")
-        return Workers(make, arguments, rows, workers, start=slurm.start)
+        return Workers(make, arguments, rows, workers, start=slurm.start, problem=study.simulated)
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
         raise InputError(
             f"scheduler = {scheduler!r}: allowed: tcp://host:8786, tls:, ws:, wss:, or a cluster file .yaml"
         )
-    return Workers(make, arguments, rows, workers, scheduler)
+    return Workers(make, arguments, rows, workers, scheduler, problem=study.simulated)
 
 
 def _problem_of_file(study_json: str, folder: str, key: str) -> Any:

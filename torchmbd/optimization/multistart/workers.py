@@ -55,6 +55,7 @@ class Workers:
     """A context manager that evaluates designs of one problem on workers.
 
     make, arguments  function that makes the problem on a worker, and its arguments (hashable)
+    problem          the problem in this process, whose steps the workers take; None: each of them chooses
     rows             number of constraints of the problem
     workers          number of workers on this machine or of `start`; 0: one for each core of this process
     scheduler        address of a scheduler whose workers evaluate; None: processes of this machine
@@ -69,8 +70,9 @@ class Workers:
         workers: int = 0,
         scheduler: str | None = None,
         start: Callable[[int], Any] | None = None,
+        problem: Any = None,
     ) -> None:
-        self.factory = make, arguments
+        self._made, self.problem = (make, arguments), problem
         self.rows, self.scheduler = rows, scheduler
         self._workers, self._start = workers or cores(), start
         self._client: Any = None
@@ -90,7 +92,7 @@ class Workers:
         for name in _SILENCED_LOGGERS:  # they write tracebacks; an MbdError reports what matters
             logging.getLogger(name).setLevel(logging.CRITICAL)
         if self.scheduler is None:
-            start = self._start or partial(start_local_cluster, module=self.factory[0].__module__)
+            start = self._start or partial(start_local_cluster, module=self._made[0].__module__)
             self._cluster = start(self._workers)
         try:
             self._client = Client(self._cluster or self.scheduler, timeout=_TIMEOUT)
@@ -114,8 +116,15 @@ class Workers:
     def for_problem(self, problem: Any) -> Self:
         """The same workers for the problem by another number of steps, which each of them makes of its own."""
         other = copy.copy(self)
-        other.factory = at_steps, (*self.factory, problem.steps)
+        other.problem = problem
         return other
+
+    @property
+    def factory(self) -> tuple[Callable[..., NonlinearProgram], tuple[Any, ...]]:
+        """The function that makes the problem on a worker, and its arguments: steps are chosen once, in this process."""
+        has_steps = hasattr(type(self.problem), "at_steps")  # a wrapper that passes it on would lose its evaluations
+        chosen = self.problem.steps if has_steps and self.problem.chooses_steps else None
+        return (at_steps, (*self._made, chosen)) if chosen else self._made
 
     @property
     def size(self) -> int:
@@ -212,8 +221,7 @@ class Processes(Workers):
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
             raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
         require_problem(problem)
-        super().__init__(unpickle_problem, pickle_problem(problem), workers=count or 0)
-        self.problem = problem
+        super().__init__(unpickle_problem, pickle_problem(problem), workers=count or 0, problem=problem)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or "problem" not in self.__dict__:
@@ -231,11 +239,7 @@ class Processes(Workers):
         return None if refine is None else self._with(refine(x))
 
     def _with(self, problem: Any) -> Processes | None:
-        if problem is None:
-            return None
-        other = self.for_problem(problem)
-        other.problem = problem
-        return other
+        return None if problem is None else self.for_problem(problem)
 
     def wait(self) -> None:
         """Wait until every process has the problem and has computed what all its motions share."""
