@@ -48,7 +48,7 @@ from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpening import sharpen
 from torchmbd.design.verification import verify
-from torchmbd.errors import ArgumentError, DesignFailure, InputError, MbdError, SimulationFailure, checked_signature
+from torchmbd.errors import DesignFailure, InputError, MbdError, SimulationFailure
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
@@ -123,7 +123,6 @@ def __getattr__(name: str) -> Any:
     return Study
 
 
-@checked_signature
 def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Path] = ()) -> LoadedStudy:
     """Load a study of the tracking store: system, best design, motion; see torchmbd.study.stored_run.
 
@@ -141,7 +140,6 @@ def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Pa
     return load_run(run, uri, model)
 
 
-@checked_signature
 def problem_of(file: str | Path, *assignments: str) -> Problem:
     """The problem of an experiment file, for tasks that files have no keys for, such as other criteria of the same motion.
 
@@ -165,7 +163,6 @@ __all__ = [
     "Acceleration",
     "Aggregate",
     "Angle",
-    "ArgumentError",
     "AtPeaks",
     "AtTime",
     "AtTimes",

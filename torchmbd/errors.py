@@ -137,16 +137,6 @@ def dotted(path: Path) -> str:
     return ".".join(map(str, path))
 
 
-class ArgumentError(InputError, TypeError):
-    """A call has an unknown argument, or lacks one that the function needs.
-
-    >>> mbd.sections.tube(0.02, mbd.Ply.isotropic(70e9, 0.3, 2700.0), [0.0], thicknes=1e-3)
-    Traceback (most recent call last):
-        ...
-    torchmbd.errors.ArgumentError: argument 'thicknes' (= 0.001) of tube does not exist; allowed: radius, ply, angles, ...
-    """
-
-
 class SimulationFailure(MbdError):
     """A motion could not be computed: there are no numbers to return.
 
@@ -265,64 +255,38 @@ def argument_names(function: Callable[..., Any]) -> tuple[str, ...]:
     return tuple(p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY))
 
 
-def checked_signature(x: T) -> T:
-    """Decorator of a public function or class: a call that does not fit its signature is refused by ArgumentError.
+def keyword_hints(x: T) -> T:
+    """Decorator of a function or class that many programs call: Python's TypeError gets the nearest name as a note.
 
-    It names the argument, its value and what is allowed, with the nearest name. Of a class these are its constructor and its
-    class methods. A call that fits costs nothing: the signature is looked at when Python has refused it.
+    A class has its constructor and its class methods decorated.
+
+    >>> try:
+    ...     mbd.sections.tube(0.02, mbd.Ply.isotropic(70e9, 0.3, 2700.0), [0.0], thicknes=1e-3)
+    ... except TypeError as error:
+    ...     print(*error.__notes__)
+    Try: thickness = ... in place of thicknes = 0.001.
     """
-    if not isinstance(x, type):
-        return _named(x, x.__name__)  # type: ignore[attr-defined]
-    for owner in (base for base in x.__mro__ if base.__module__.startswith("torchmbd.")):
-        for name, member in list(vars(owner).items()):
-            if name == "__init__" and inspect.isfunction(member):
-                owner.__init__ = _named(member, None)
-            elif isinstance(member, classmethod) and name[0] != "_":
-                setattr(owner, name, classmethod(_named(member.__func__, f"{owner.__name__}.{name}")))
-    return x
-
-
-def _named(function: Any, name: str | None) -> Any:
-    """The function, with ArgumentError in place of Python's TypeError; `name` None: of the class that is constructed."""
-    if hasattr(function, "_names_arguments"):
-        return function
+    if isinstance(x, type):
+        constructed: Any = x
+        constructed.__init__ = keyword_hints(constructed.__init__)
+        for name, member in list(vars(x).items()):
+            if isinstance(member, classmethod) and name[0] != "_":
+                setattr(x, name, classmethod(keyword_hints(member.__func__)))
+        return x
+    function: Any = x
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         try:
             return function(*args, **kwargs)
         except TypeError as error:
-            text = _unfit(function, args, kwargs, name or type(args[0]).__name__)
-            if text is None or isinstance(error, ArgumentError):
-                raise
-        raise ArgumentError(text)
+            names = argument_names(function)
+            for key in kwargs.keys() - set(names):
+                for name in difflib.get_close_matches(key, names, n=1):
+                    error.add_note(f"Try: {name} = ... in place of {key} = {_brief(kwargs[key])}.")
+            raise
 
-    vars(call)["_names_arguments"] = True
-    return call
-
-
-def _unfit(function: Callable[..., Any], args: tuple, kwargs: dict[str, Any], name: str) -> str | None:
-    """Say which argument does not fit the signature of a function, None if all do."""
-    parameters = inspect.signature(function).parameters.values()
-    named = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
-    shown = [p for p in named if p not in ("self", "cls")]
-    places = [p.name for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
-    kinds = {p.kind for p in parameters}
-    for key, x in kwargs.items():
-        if key not in named and inspect.Parameter.VAR_KEYWORD not in kinds:
-            return f"argument {key!r} (= {_brief(x)}) of {name} does not exist{nearest(key, shown)}"
-        if key in places[: len(args)]:
-            return f"argument {key!r} (= {_brief(x)}) of {name} is given twice; allowed: once"
-    if len(args) > len(places) and inspect.Parameter.VAR_POSITIONAL not in kinds:
-        return f"argument {_brief(args[len(places)])} of {name} is one too many; allowed: {', '.join(shown)}"
-    names = {*places[: len(args)], *kwargs}
-    for p in parameters:
-        if p.name in named and p.default is p.empty and p.name not in names:
-            options = [key for key in kwargs if key not in named]
-            for key in difflib.get_close_matches(p.name, options, n=1):  # an option of a function that takes any
-                return f"argument {key!r} (= {_brief(kwargs[key])}) of {name} does not exist{nearest(key, shown)}"
-            return f"argument {p.name!r} of {name} is missing; allowed: {', '.join(shown)}"
-    return None
+    return call  # type: ignore[return-value]
 
 
 def _brief(x: object) -> str:

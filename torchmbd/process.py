@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 THREADS = "TORCHMBD_THREADS"
@@ -79,7 +79,6 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(count)
 
 
-@checked_signature
 class threads:
     """Share designs of a batch among `count` threads of this process from now on, or only inside `with mbd.threads(count):`.
 

@@ -52,7 +52,7 @@ GROUPS: dict[str, str] = {
     "verify sobol latin_hypercube",
     "identification": "identify Identification Experiment TimeSeries StaticCurve ModalData FrequencyResponseData Channel",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
-    "errors": "MbdError InputError ArgumentError SimulationFailure DesignFailure",
+    "errors": "MbdError InputError SimulationFailure DesignFailure",
 }
 
 

@@ -9,8 +9,10 @@ import shutil
 import subprocess
 import sys
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -148,6 +150,29 @@ def test_the_code_of_a_law_and_what_it_names_count(tmp_path, old, new, same):
 def test_what_cannot_be_compared_is_said():
     with pytest.warns(UserWarning, match=r"_thread.lock .* cannot be compared"):
         digest(__import__("threading").Lock())
+    names: dict = {"__name__": "typed"}
+    exec("def law(t):\n    return t", names)
+    with pytest.warns(UserWarning, match=r"the text of the function law .* cannot be compared"):
+        digest(names["law"])
+
+
+def test_lambdas_in_one_line_differ():
+    # fmt: off
+    laws = [lambda p, q: p + q, lambda p, q: p - q, lambda p, q: p if q else -p, lambda p, q: (lambda: p + q), lambda p, q: (lambda: p - q)]  # noqa: E501
+    # fmt: on
+    laws += [laws[3](1.0, 2.0), laws[4](1.0, 2.0)]
+    assert len({digest(law) for law in laws}) == len(laws)
+    assert digest(laws[0]) == digest(laws[0])
+
+
+class Pair(NamedTuple):
+    k: float
+
+
+def test_methods_that_python_writes_do_not_need_a_text():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert digest(Law, Pair) == digest(Law, Pair)
 
 
 @pytest.mark.parametrize("file", ["a.py", "sub/a.cpp", "sub/notes.txt"])
@@ -164,7 +189,8 @@ def test_sources_count(tmp_path, file):
 @pytest.mark.thorough
 def test_two_processes_have_one_digest(tmp_path):
     """Sets and dictionaries of words come in another order with every seed of Python's hashes."""
-    script = (
+    script = tmp_path / "script.py"
+    script.write_text(
         "from torchmbd.math.digest import digest\n"
         "words = {'a', 'b', 'c', 'd', 'e'}\n"
         "def law(x):\n    return x in {'a', 'b', 'c', 'd'}\n"
@@ -172,7 +198,7 @@ def test_two_processes_have_one_digest(tmp_path):
     )
     result = {
         subprocess.run(
-            [sys.executable, "-c", script], env={"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True
+            [sys.executable, script], env={"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True
         ).stdout
         for seed in ("1", "2")
     }

@@ -69,7 +69,8 @@ def test_a_mapping_is_the_rule_that_it_names() -> None:
         ({"about": {"axis": [0, 0, 1]}}, "rule of direction 'about' does not exist; allowed: around"),
         ({"around": [0, 0, 1]}, "must be one rule with its arguments"),
         ({}, "must be one rule"),
-        ({"around": {"axes": [0, 0, 1]}}, "argument 'axes'"),
+        ({"around": {"axes": [0, 0, 1]}}, "argument of around 'axes' does not exist; allowed: axis, point"),
+        ({"along": {}}, "direction.along.points is missing"),
     ],
 )
 def test_bad_mappings_are_refused(direction: object, text: str) -> None:

@@ -20,14 +20,13 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import Measure
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import list_of, scalar
 
 KINDS = ("ks", "p_norm")
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Aggregate(Measure):
     """One smooth number [lanes] for all rows of measures, in their unit, not below the largest row.

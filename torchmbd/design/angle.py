@@ -21,14 +21,13 @@ from torch import Tensor
 
 from torchmbd.design.histories import GROUND, Direction, unit_vector
 from torchmbd.design.response import History
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
 from torchmbd.results.turns import turns_between
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Angle(History):
     """Rotation of a body about an axis of another body, or of the ground [lanes, times] [rad]; continuous along a motion.

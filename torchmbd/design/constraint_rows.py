@@ -22,10 +22,9 @@ from torch import Tensor
 from torchmbd.design.measures import OfHistory
 from torchmbd.design.response import Constraint
 from torchmbd.design.spline import Spline
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 
 
-@checked_signature
 @dataclass(frozen=True)
 class AtTimes(OfHistory):
     """Values of a history at many times [lanes, rows], in its unit, with one limit; eq. (23).
@@ -68,7 +67,6 @@ class AtTimes(OfHistory):
         return curve.spaced(self.count)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class AtPeaks(OfHistory):
     """The highest local maxima of a history [lanes, count], in its unit, the highest first; eqs. (20), (22).

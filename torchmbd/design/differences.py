@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.optimizer import as_numbers, require_few, require_problem
 
@@ -64,7 +64,6 @@ def _steps(step: Any, n: int, lanes: int | None = None) -> np.ndarray:
     return h
 
 
-@checked_signature
 class Differences:
     """A problem whose gradients are finite differences; all other attributes are those of the wrapped problem.
 

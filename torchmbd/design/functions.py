@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import History, Measure
-from torchmbd.errors import InputError, checked_signature, warn
+from torchmbd.errors import InputError, warn
 from torchmbd.integrate import Trajectory
 from torchmbd.results.response_error import change_by_motion
 
@@ -111,7 +111,6 @@ def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: 
 def history(function: Callable[[Any], Tensor], unit: str | None = None) -> History: ...
 @overload
 def history(function: None = None, unit: str | None = None) -> Callable[[Callable[[Any], Tensor]], History]: ...
-@checked_signature
 def history(function: Any = None, unit: str | None = None) -> Any:
     """Make a history from a function of the motion.
 
@@ -138,7 +137,6 @@ def history(function: Any = None, unit: str | None = None) -> Any:
 def measure(function: Callable[[Any], Tensor], unit: str | None = None) -> Measure: ...
 @overload
 def measure(function: None = None, unit: str | None = None) -> Callable[[Callable[[Any], Tensor]], Measure]: ...
-@checked_signature
 def measure(function: Any = None, unit: str | None = None) -> Any:
     """Make a measure from a function of the motion.
 

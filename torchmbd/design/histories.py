@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import History
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
 from torchmbd.multibody.system import System
@@ -38,7 +38,6 @@ GROUND = "ground"
 Direction = str | Sequence[float]
 
 
-@checked_signature
 @dataclass(frozen=True)
 class StrainEnergy(History):
     """Elastic energy of a flexible body, of a linear one U = 1/2 w' Kr w, or of a flexible beam [lanes, times] [J]; eq. (17).
@@ -69,7 +68,6 @@ class StrainEnergy(History):
         return (force * wd).sum(-1), (stiff * wd + force * wdd).sum(-1)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Position(History):
     """Component of the position of a point [lanes, times] [m].
@@ -152,7 +150,6 @@ class Position(History):
         return y, rate, ydd - _cross(body.omega, yd + rate) - _cross(body.omega_rate, y)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Displacement(Position):
     """Change of position since the start [lanes, times] [m]; arguments as of `Position`.
@@ -189,7 +186,6 @@ class Displacement(Position):
         return y - y[:, :1]
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Velocity(Position):
     """Rate of the position as the observer sees it [lanes, times] [m/s]; arguments as of `Position`.
@@ -202,7 +198,6 @@ class Velocity(Position):
     order: ClassVar[int] = 1
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Acceleration(Position):
     """Second rate of the position as the observer sees it [lanes, times] [m/s2]; arguments as of `Position`.
@@ -215,7 +210,6 @@ class Acceleration(Position):
     order: ClassVar[int] = 2
 
 
-@checked_signature
 @dataclass(frozen=True)
 class RelativeDisplacement(History):
     """Elastic displacement of node a less that of node b [lanes, times] [m]: along z of a plate the local torsion, eq. (38).
@@ -258,7 +252,6 @@ class RelativeDisplacement(History):
         return first, second
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Reaction(History):
     """Force of a joint on one of its bodies, or torque about the point of the joint: one component [lanes, times].

@@ -30,7 +30,7 @@ from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History, Measure
 from torchmbd.design.spline import Spline, Window, checked_window
 from torchmbd.design.supported_frequencies import check_supports, supported_frequencies
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.reduction import eigenvalues
 from torchmbd.fem.reduction.padding import with_stiff_padding
 from torchmbd.integrate import Trajectory
@@ -108,7 +108,6 @@ def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
     return curve
 
 
-@checked_signature
 class Integral(OfHistory):
     """Integral of a history over time [lanes], in the unit of the history times s; eq. (21).
 
@@ -127,7 +126,6 @@ class Integral(OfHistory):
         return super().range_of(curve) * curve.duration
 
 
-@checked_signature
 class Mean(OfHistory):
     """Mean of a history over time [lanes], in the unit of the history.
 
@@ -140,7 +138,6 @@ class Mean(OfHistory):
         return curve.mean()
 
 
-@checked_signature
 class RMS(OfHistory):
     """Root of the mean square of a history over time [lanes], in the unit of the history.
 
@@ -162,7 +159,6 @@ PEAK_NOTE = (
 )
 
 
-@checked_signature
 class Max(OfHistory):
     """Largest value of a history [lanes], in its unit; eq. (18). A spline finds the peak between the output times.
 
@@ -180,7 +176,6 @@ class Max(OfHistory):
         return curve.maximum()
 
 
-@checked_signature
 class Min(OfHistory):
     """Smallest value of a history [lanes], in its unit. A spline finds it between the output times.
 
@@ -195,7 +190,6 @@ class Min(OfHistory):
         return -curve.negative().maximum()
 
 
-@checked_signature
 class Final(OfHistory):
     """Value of a history at the end of the motion, or at the end of its window [lanes], in its unit.
 
@@ -208,7 +202,6 @@ class Final(OfHistory):
         return curve.y[..., -1]
 
 
-@checked_signature
 @dataclass(frozen=True)
 class AtTime(Measure):
     """Value of a history at one time [lanes], in its unit.
@@ -249,7 +242,6 @@ class AtTime(Measure):
         return curve.sampled(curve.t.new_tensor([float(self.time)]))[..., 0]
 
 
-@checked_signature
 @dataclass(frozen=True)
 class SmoothMax(OfHistory):
     """Smooth maximum of all samples [lanes], in the unit of the history.
@@ -282,7 +274,6 @@ class SmoothMax(OfHistory):
         return torch.logsumexp(torch.where(new, rho * y, -torch.inf), -1) / rho
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Frequency(Measure):
     """Natural frequency [lanes] [Hz] of a flexible body fixed at its reference nodes, or on supports.
@@ -325,7 +316,6 @@ def _check_number(system: System, body: str, number: int, supports: Supports | N
         check_supports(system, body, supports, number)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Frequencies(Measure):
     """Power mean of natural frequencies [lanes] [Hz]: (mean of f^(2 power))^(1 / (2 power)).
@@ -375,7 +365,6 @@ class Frequencies(Measure):
         return torch.exp(powers / (2.0 * self.power)) / (2.0 * math.pi)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Mass(Measure):
     """Mass [lanes] [kg].

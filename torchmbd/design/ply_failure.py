@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import History
-from torchmbd.errors import InputError, checked_signature, unknown, warn
+from torchmbd.errors import InputError, unknown, warn
 from torchmbd.fem.materials import CRITERIA, PLY_COMPONENTS, Strength
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
@@ -35,7 +35,6 @@ from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 LONGEST = 2.0
 
 
-@checked_signature
 @dataclass(frozen=True)
 class PlyFailure(History):
     """Failure index of a laminated body [lanes, times] [-]: nothing fails where it is below one.
@@ -94,7 +93,6 @@ def _check_interlaminar(name: str, body: Any, strengths: Sequence[Strength]) -> 
 EXTREMES = ("highest", "lowest")
 
 
-@checked_signature
 @dataclass(frozen=True)
 class PlyStress(History):
     """Highest or lowest stress among the ply points of a laminated body [lanes, times] [Pa].

@@ -41,7 +41,7 @@ from torchmbd.design.problem_parts import (
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.design.words import names_of_rows
-from torchmbd.errors import InputError, SimulationFailure, argument_names, checked_signature
+from torchmbd.errors import InputError, SimulationFailure, argument_names, keyword_hints
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Simulation, Trajectory
 from torchmbd.integrate.arguments import check_gradients
@@ -60,7 +60,7 @@ BOUND = "bound"  # name of the extra variable beta
 Rows = tuple[np.ndarray, np.ndarray | None]  # values [lanes, rows]; slopes [lanes, rows, n] if asked for
 
 
-@checked_signature
+@keyword_hints
 class Problem(Summary):
     """A transient optimization problem.
 

@@ -30,7 +30,7 @@ from torchmbd.design.problem import Problem
 from torchmbd.design.problem_parts import Reference, limits_of, reference_of
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.scenario_settings import SYSTEM, combined, normalized_weights, scenarios_by_name, settings_of
-from torchmbd.errors import InputError, SimulationFailure, checked_signature, unknown
+from torchmbd.errors import InputError, SimulationFailure, unknown
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Simulation, Trajectory
 from torchmbd.multibody.system import System
@@ -52,7 +52,6 @@ class Group(NamedTuple):
     settings: dict[str, dict[str, Tensor]]
 
 
-@checked_signature
 class Scenarios(Problem):
     """A transient optimization problem of one design in several scenarios.
 

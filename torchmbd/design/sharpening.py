@@ -20,7 +20,7 @@ from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.problem import Problem
 from torchmbd.design.response import Measure
 from torchmbd.design.scenarios import Scenarios
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.optimization import OptimizationResult, optimize
 from torchmbd.optimization.optimizer import require_count, require_range
@@ -50,7 +50,6 @@ class Round(NamedTuple):
         return float(np.max((self.aggregates - self.largest) / np.maximum(self.sizes, np.finfo(float).tiny)))
 
 
-@checked_signature
 def sharpen(
     problem: Problem, method: str = "mma", tolerance: float = 0.01, max_rounds: int = 6, **options: Any
 ) -> list[Round]:

@@ -24,7 +24,7 @@ import torch
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from torchmbd.errors import InputError, Path, checked_signature, nearest, unknown
+from torchmbd.errors import InputError, Path, nearest, unknown
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
@@ -44,7 +44,6 @@ class Links(NamedTuple):
     factor: np.ndarray
 
 
-@checked_signature
 class DesignSpace:
     """Maps design vectors to parameters of a system.
 

@@ -22,13 +22,12 @@ from torchmbd.design.problem import Problem
 from torchmbd.design.problem_parts import constraints_of
 from torchmbd.design.response import Constraint, Measure, require_scalar_measures
 from torchmbd.design.words import unit
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Criteria
 
 
-@checked_signature
 class Tradeoff:
     """A transient problem of several criteria, for `pareto_front`.
 

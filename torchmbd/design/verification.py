@@ -28,7 +28,7 @@ from torchmbd.design.problem_errors import design_errors
 from torchmbd.design.problem_parts import governing_row, limits_of, masses_and_frequencies
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.words import unit, words
-from torchmbd.errors import InputError, MbdError, checked_signature, warnings_once
+from torchmbd.errors import InputError, MbdError, warnings_once
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.optimization import MultistartResult, OptimizationResult, Processes, RobustProblem
 from torchmbd.optimization.api import FEASIBILITY
@@ -43,7 +43,6 @@ _FREQUENCIES = 2  # first ones of every body that are told
 _UNRESOLVED = 16.0  # reduction of the error that is asked for where none is known: four times the steps
 
 
-@checked_signature
 @warnings_once()
 def verify(result: OptimizationResult | MultistartResult) -> Verification:
     """Simulate best design and start with finer steps, more modes and finer meshes: do gain and constraints hold?

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torchmbd.design.response import Measure, Total
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 
 
-@checked_signature
 @dataclass(frozen=True)
 class WeightedSum(Total):
     """Weighted sum of measures [lanes]; eq. (38).

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.exact_beam import SectionTable
 
 __all__ = ["read_beamdyn"]
@@ -18,7 +18,6 @@ __all__ = ["read_beamdyn"]
 _BEAMDYN = [2, 0, 1, 5, 3, 4]
 
 
-@checked_signature
 def read_beamdyn(path: str | Path) -> SectionTable:
     """A SectionTable of the stations of a BeamDyn blade file: their axes (z along the blade) become ours (x along the beam).
 

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.io
 import scipy.sparse
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.cards import read_cards
 from torchmbd.multibody.bodies.given_matrices import LabeledMatrix
 
@@ -31,7 +31,6 @@ __all__ = ["read_matrix"]
 LARGEST = 3_000_000  # rows; a header with more is refused before memory is allocated
 
 
-@checked_signature
 def read_matrix(path: str | Path, name: str | None = None) -> LabeledMatrix:
     """A mass or stiffness matrix of a file, for `FlexibleBody.from_matrices`.
 

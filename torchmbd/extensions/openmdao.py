@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.response import Measure
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.integrate import Simulation, Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
@@ -32,7 +32,6 @@ __all__ = ["openmdao_component"]
 _GRADIENTS = ("reverse", "forward")
 
 
-@checked_signature
 def openmdao_component(
     system: System,
     duration: float,

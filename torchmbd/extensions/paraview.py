@@ -25,7 +25,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
 from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
 from torchmbd.multibody.bodies.flexible_beam import BeamNode
@@ -38,7 +38,6 @@ _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
 _LINE, _TRIANGLE, _QUAD = 3, 5, 9  # VTK's numbers of cells
 
 
-@checked_signature
 def save_mesh(body: Any, path: str | Path) -> Path:
     """Write the undeformed mesh of a flexible body, or a mesh; body axes with the mesh's own origin.
 
@@ -66,7 +65,6 @@ def _fibers(mesh: Any, plates: Iterable[Any]) -> dict[str, np.ndarray]:
     return fields
 
 
-@checked_signature
 def save_modes(body: Any, path: str | Path) -> Path:
     """Write the modes of a flexible body as vector fields "mode_1_12.3Hz", ..., normalized to the size of the body.
 
@@ -86,7 +84,6 @@ def save_modes(body: Any, path: str | Path) -> Path:
     return write_vtu(path, body.mesh.nodes, _cells(body.mesh), fields)
 
 
-@checked_signature
 def save_motion(
     motion: Any, path: str | Path, lane: int = 0, max_frames: int = 200, criterion: str | None = None
 ) -> Path:

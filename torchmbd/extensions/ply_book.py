@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmbd.design.flexible_bodies import flexible_bodies
-from torchmbd.errors import InputError, checked_signature, warn
+from torchmbd.errors import InputError, warn
 from torchmbd.math.variable import number, without_variables
 
 __all__ = ["write_ply_book"]
@@ -43,7 +43,6 @@ class Row:
     bottom: float
 
 
-@checked_signature
 def write_ply_book(design: Any, path: str | Path) -> Path:
     """Write the plies of all laminated parts of a design.
 

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import DesignFailure, InputError, checked_signature, true_or_false
+from torchmbd.errors import DesignFailure, InputError, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.integrated_trajectory import plain, trajectory_of
 from torchmbd.integrate.motion import Motion, Tensors
@@ -250,7 +250,6 @@ class StaticIntegration:
                 raise DesignFailure(balance.failure + (f" ({where.strip()})" if where else ""))
 
 
-@checked_signature
 @exclusive
 def equilibrium(
     system: System,

@@ -29,7 +29,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.integrate.phases.events import Event
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.gradients import is_differentiated, refuse_lost_gradients, untransformed
@@ -37,7 +37,6 @@ from torchmbd.multibody.forces.action import Law
 from torchmbd.multibody.joints import Joint
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Phase:
     """One phase of a simulation.

@@ -12,7 +12,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmbd.errors import argument_names, checked_signature
+from torchmbd.errors import argument_names, keyword_hints
 from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.simulation import Simulation
@@ -21,7 +21,7 @@ from torchmbd.multibody.system import System
 from torchmbd.results.trajectory import Trajectory
 
 
-@checked_signature
+@keyword_hints
 @exclusive
 def simulate(
     system: System,

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, Self
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, argument_names, checked_signature
+from torchmbd.errors import InputError, argument_names
 from torchmbd.integrate.arguments import (
     check_backend,
     check_dtypes,
@@ -78,7 +78,6 @@ class _Preparation(NamedTuple):
     integrator: Integrator
 
 
-@checked_signature
 class Simulation(Summary):
     """The motions of a system over a duration, for any designs: made and checked once, called often.
 

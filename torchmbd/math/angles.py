@@ -13,10 +13,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 
 
-@checked_signature
 def deg(degrees: float | Sequence[float] | Tensor) -> Tensor:
     """Turn degrees [deg] into radians [rad], as a float64 tensor of the same shape.
 

@@ -2,8 +2,8 @@
 
     numbers      of tensors and arrays bit for bit, with their type and shape
     structure    classes, names and contents, in order; an object that occurs twice is written once
-    functions    of a user: bytecode, defaults, closures and the globals that they use, also those in modules of the user;
-                 classes of a user: their methods as well
+    functions    of a user: their text without comments and layout, defaults, closures and the globals that they use, also
+                 those in modules of the user; classes of a user: their methods as well
 
 torchmbd's own functions and classes are written by name (`source_digest` has their text), those of installed packages by name
 and file. The place of a user's module has no influence, nor have comments, line numbers, the order of a dictionary or a set,
@@ -15,14 +15,16 @@ Checked in tests/math/test_digest.py.
 
 from __future__ import annotations
 
+import ast
 import enum
 import hashlib
+import inspect
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache, cached_property, partial
-from inspect import isgetsetdescriptor, ismemberdescriptor
+from dataclasses import is_dataclass
+from functools import cache, cached_property, lru_cache, partial
 from pathlib import Path, PurePath
-from types import BuiltinFunctionType, CodeType, FunctionType, MethodDescriptorType, MethodType, ModuleType
+from types import BuiltinFunctionType, FunctionType, MethodDescriptorType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -72,8 +74,6 @@ class _Walk:
             self.write(_name(type(x)), len(x))
             for y in x:
                 self.add(y)
-        elif isinstance(x, CodeType):
-            self._add_code(x)
         elif id(x) in self._written:
             self.write("met", self._written[id(x)])
         else:
@@ -143,10 +143,7 @@ class _Walk:
             try:
                 parts = x.__reduce_ex__(2)[1:]
             except (TypeError, RuntimeError):  # raised by Python and pybind11 for objects that cannot be pickled
-                warn(
-                    f"what a {_name(kind)} of the model holds cannot be compared: a change of it goes unnoticed, "
-                    "and remembered evaluations are used; allowed: tensors, arrays, numbers, or run --fresh",
-                )
+                _warn_unseen(f"the contents of a {_name(kind)}", "tensors, arrays or numbers")
         for part in parts:
             if isinstance(part, dict):
                 kept = {k: y for k, y in part.items() if not _is_derived(kind, k)}
@@ -165,7 +162,8 @@ class _Walk:
         self.add(x.__bases__)
         # Attributes that Python adds to a class, such as __doc__ or descriptors of slots, differ between versions.
         members = {k: y for k, y in vars(x).items() if isinstance(y, _METHODS) or (k[:2] != "__" and k != "_abc_impl")}
-        self._add_items({k: y for k, y in members.items() if not (isgetsetdescriptor(y) or ismemberdescriptor(y))})
+        added = (inspect.isgetsetdescriptor, inspect.ismemberdescriptor, lambda y: _is_generated(x, y))
+        self._add_items({k: y for k, y in members.items() if not any(test(y) for test in added)})
 
     def _add_function(self, x: FunctionType) -> None:
         self.write("function", x.__qualname__)
@@ -177,8 +175,16 @@ class _Walk:
                 self.write("empty")
         if _of_package(x.__module__) or self._installed(x.__module__):
             return
-        self.add(x.__code__)
-        self._add_named(x.__globals__, sorted(_names(x.__code__)), set())
+        definition = _definition(x)
+        if definition is None:
+            _warn_unseen(f"the text of the function {x.__qualname__}", "a function in a file")
+            return
+        self.write(ast.unparse(definition))
+        nodes = list(ast.walk(definition))
+        names = {y.id for y in nodes if isinstance(y, ast.Name)} | {
+            y.attr for y in nodes if isinstance(y, ast.Attribute)
+        }
+        self._add_named(x.__globals__, sorted(names), set())
 
     def _add_named(self, space: Mapping[str, Any], names: Sequence[str], seen: set[int]) -> None:
         """Values of the names in a function: globals of its module, and attributes of modules of the user among them."""
@@ -192,10 +198,6 @@ class _Walk:
                 continue
             if not (_of_package(value.__name__) or self._installed(value.__name__)):
                 self._add_named(vars(value), names, seen)
-
-    def _add_code(self, x: CodeType) -> None:
-        self.write("code", x.co_code.hex(), x.co_names, x.co_varnames, x.co_freevars, x.co_cellvars, x.co_flags)
-        self.add((x.co_exceptiontable, *x.co_consts))
 
     def _installed(self, module: str) -> bool:
         """Whether a module belongs to Python or an installed package; then the digest of its file is written."""
@@ -231,10 +233,50 @@ def _inherited(kind: type, name: str) -> Any:
     return next((vars(base)[name] for base in kind.__mro__ if name in vars(base)), None)
 
 
-def _names(code: CodeType) -> set[str]:
-    """The names of globals and attributes in a function and in those that it defines."""
-    inner = (c for c in code.co_consts if isinstance(c, CodeType))
-    return set(code.co_names).union(*map(_names, inner))
+def _definition(x: FunctionType) -> ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda | None:
+    """The definition of a function in the text of its file; None if the text is not available, as of `exec`."""
+    code = x.__code__
+    try:
+        lines, _ = inspect.findsource(code)
+        nodes = _definitions("".join(lines)).get((code.co_name, code.co_firstlineno), [])
+    except (OSError, SyntaxError):
+        return None
+    if len(nodes) > 1:  # lambdas in one line: the smallest that has all places of the code
+        places = [(line, column, end, last) for line, end, column, last in code.co_positions() if last]
+        nodes = [y for y in nodes if all(_is_within(place, y.body) for place in places)]
+        nodes.sort(key=lambda y: len(ast.unparse(y)))
+    return nodes[0] if nodes else None
+
+
+def _is_within(place: tuple[Any, ...], node: ast.expr) -> bool:
+    return (node.lineno, node.col_offset) <= place[:2] and place[2:] <= (node.end_lineno, node.end_col_offset)
+
+
+@lru_cache(maxsize=32)
+def _definitions(text: str) -> dict[tuple[str, int], list[Any]]:
+    """The functions in a text, by their name and first line."""
+    result: dict[tuple[str, int], list[Any]] = {}
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Lambda):
+            result.setdefault(("<lambda>", node.lineno), []).append(node)
+        elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            first = min([node.lineno, *(x.lineno for x in node.decorator_list)])
+            result.setdefault((node.name, first), []).append(node)
+    return result
+
+
+def _is_generated(kind: type, member: Any) -> bool:
+    """Whether Python has written a method of a dataclass or a named tuple: its fields determine it."""
+    method = inspect.unwrap(getattr(member, "__func__", member))
+    named = isinstance(method, FunctionType) and method.__name__[:2] == "__"
+    return named and (is_dataclass(kind) or issubclass(kind, tuple)) and _definition(method) is None
+
+
+def _warn_unseen(part: str, allowed: str) -> None:
+    warn(
+        f"{part} in the model cannot be compared: a change of it is not noticed, and remembered evaluations are used. "
+        f"Try: {allowed}, or run --fresh"
+    )
 
 
 @cache

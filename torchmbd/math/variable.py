@@ -20,13 +20,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import is_real, scalar
 from torchmbd.math.gradients import is_variable
 from torchmbd.math.pair import linear
 
 
-@checked_signature
 def variable(x: float | Tensor) -> nn.Parameter:
     """A number as a design variable: a parameter [] of the law, load, drive or dimension that it is passed to.
 

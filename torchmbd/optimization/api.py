@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false, warnings_once
+from torchmbd.errors import InputError, argument_names, true_or_false, warnings_once
 from torchmbd.optimization.failures import counted
 from torchmbd.optimization.finer_motions import Begin, counted_from, search_with_finer_motions
 from torchmbd.optimization.kkt import KuhnTucker
@@ -46,7 +46,6 @@ FEASIBILITY = 1e-6
 KKT = 1e-3  # Kuhn-Tucker residual of an optimum, of methods without an option of this name
 
 
-@checked_signature
 @warnings_once()
 def optimize(
     problem: NonlinearProgram,

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, argument_names, checked_signature, true_or_false, warnings_once
+from torchmbd.errors import InputError, argument_names, true_or_false, warnings_once
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.criteria import Criteria, ManyCriteria
@@ -118,7 +118,6 @@ class Front:
         return np.max([anchor.criteria for anchor in self.anchors], axis=0)
 
 
-@checked_signature
 @warnings_once()
 def pareto_front(
     problem: ManyCriteria,

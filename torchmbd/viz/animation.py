@@ -29,7 +29,7 @@ import torch
 
 from torchmbd.design.problem import Problem
 from torchmbd.design.words import unit
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh, cut_quads
 from torchmbd.multibody.bodies.flexible_beam import BeamNode
 from torchmbd.viz.panels import display_unit, full_name, panels_of, require_problem
@@ -39,7 +39,6 @@ _NONE = np.empty(0, dtype=int)  # no elements
 _TOLERANCE = 1e-5  # of the largest displacement: below a pixel at any useful scale
 
 
-@checked_signature
 def animate(
     motion: Any,
     path: str | Path,

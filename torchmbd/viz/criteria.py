@@ -16,7 +16,7 @@ from torchmbd.design.problem_parts import responses_of
 from torchmbd.design.response import Total
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.design.words import unit, words
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.viz.animation import lane_labels
 from torchmbd.viz.figures import BAD, CYCLE, LINE, best_on_top, figure_of, over_time, titled, wrapped
 from torchmbd.viz.panels import SIGNS, display_unit, first_limits, full_name, panels_of, require_problem
@@ -34,7 +34,6 @@ _APART = 30.0  # ratio of the largest values of designs from which on an axis of
 _FAR = 3.0  # ranges of the curves: a limit that is farther away is written, not drawn
 
 
-@checked_signature
 def criteria_over_time(
     problem: Problem, motion: Trajectory, labels: Sequence[str] | None = None, title: str = ""
 ) -> Figure | None:
@@ -92,7 +91,6 @@ def criteria_over_time(
     return titled(figure, title)
 
 
-@checked_signature
 def criteria_over_iterations(
     problem: Problem, searches: Mapping[str, Sequence[Iterate]], best: str | None = None, title: str = ""
 ) -> Figure:
@@ -137,7 +135,6 @@ def criteria_over_iterations(
     return titled(figure, title or (f"{len(searches)} starts" if len(searches) > 1 else "1 start"))
 
 
-@checked_signature
 def weighted_parts(
     problem: Problem, motion: Trajectory, labels: Sequence[str] | None = None, title: str = ""
 ) -> Figure | None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.viz.figures import CYCLE, OTHER, degrees, figure_of, wrapped
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ _NAMED = 3  # variables in the heading of a direction
 _WIDE = 10.0  # ratio of objectives from which on their colors and contours are logarithmic
 
 
-@checked_signature
 def design_map(
     paths: Mapping[str, np.ndarray],
     objectives: Mapping[str, np.ndarray],

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory, laminated
@@ -31,7 +31,6 @@ _ROW, _TEXT = 2.1, 0.17  # heights of a row without its legend, and of a line of
 _FACES = ("bottom", "top")
 
 
-@checked_signature
 def failure_map(
     motion: Trajectory,
     body: str,

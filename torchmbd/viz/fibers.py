@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.process import imports
 from torchmbd.viz.figures import BEST
 
@@ -24,7 +24,6 @@ _LIFT = 0.05  # towards the eye: a line lies above its own cell [share of the ro
 _SIZE = 3.4  # of a panel [in]
 
 
-@checked_signature
 def fibers(body: Any, layers: Sequence[int] | None = None, view: tuple[float, float] = (25.0, -60.0)) -> Figure:
     """Draw the direction of the fibers of every layer of a laminated plate or shell, in its present design.
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.process import imports
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ BEST, OTHER, BAD = "#0072b2", "#a0a0a0", "#d55e00"
 CYCLE = ("#444444", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 
 
-@checked_signature
 def convergence(
     objectives: Mapping[str, Numbers],
     violations: Mapping[str, Numbers],
@@ -70,7 +69,6 @@ def best_on_top(starts: Iterable[str], best: str | None) -> Iterator[tuple[str, 
         )
 
 
-@checked_signature
 def energy_over_time(t: Numbers, energies: Mapping[str, Numbers], body: str = "") -> Figure:
     """Strain energy of a body in several designs of one motion (Fig. 9).
 
@@ -112,7 +110,6 @@ def plain(x: Any) -> np.ndarray:
     return np.asarray(x.detach() if isinstance(x, Tensor) else x, dtype=float)
 
 
-@checked_signature
 def criterion(
     values: Numbers,
     criteria: Mapping[str, Numbers],
@@ -149,7 +146,6 @@ def criterion(
     return figure
 
 
-@checked_signature
 def save(figure: Figure, path: str | Path) -> Path:
     """Write a figure; the ending of the name chooses the format.
 

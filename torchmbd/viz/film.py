@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.viz.animation import require_lane, require_motion, scene_of
 
 _ACROSS = {"x": (1, 2), "y": (0, 2), "z": (0, 1)}  # axes of the picture, by the axis along which one looks
 _WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
 
 
-@checked_signature
 def film(
     motion: Any,
     path: str | Path,

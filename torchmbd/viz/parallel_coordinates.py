@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.viz.figures import BEST, OTHER, figure_of, titled, wrapped
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 _LINES = 3  # of a heading below an axis
 
 
-@checked_signature
 def parallel_coordinates(
     designs: Any,
     objectives: Sequence[float] | np.ndarray,

@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.buckling.eigenproblem import eigenproblem
 from torchmbd.extensions.buckling.nodal_loads import Loads, NodalLoads
 from torchmbd.fem.reduction import StaticLoads
@@ -56,7 +56,6 @@ class Buckling(NamedTuple):
     status: str
 
 
-@checked_signature
 def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None, number: int = 1) -> Buckling:
     """Find the lowest positive factors of loads at which a body buckles; differentiable by its parameters.
 

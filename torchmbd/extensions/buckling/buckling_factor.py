@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.measures import Max
 from torchmbd.design.response import Measure
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.buckling.buckling import BucklingCase, reciprocal
 from torchmbd.extensions.buckling.buckling_index import BucklingIndex
 from torchmbd.integrate import Trajectory
@@ -31,7 +31,6 @@ from torchmbd.multibody.system import System
 _CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = WeakKeyDictionary()
 
 
-@checked_signature
 @dataclass(frozen=True)
 class BucklingFactor(Measure):
     """Factor [lanes] [-] of loads at which a body buckles: of static ones (mbd.buckling), or the least along the motion.

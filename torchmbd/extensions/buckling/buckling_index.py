@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.buckling.body_loads import body_loads, interpolations
 from torchmbd.extensions.buckling.buckling_series import BucklingSeries
 from torchmbd.extensions.buckling.unit_loads import UnitLoads
@@ -35,7 +35,6 @@ from torchmbd.multibody.system import System
 _SERIES: WeakKeyDictionary[nn.Module, dict[str, BucklingSeries]] = WeakKeyDictionary()  # body -> digest of supports
 
 
-@checked_signature
 @dataclass(frozen=True)
 class BucklingIndex(History):
     """Share of the critical load that a flexible body carries [lanes, times] [-]: 1 / buckling factor of its stress.

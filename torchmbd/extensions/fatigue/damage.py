@@ -25,7 +25,7 @@ from torchmbd.design.curve import curve_of
 from torchmbd.design.measures import OfHistory
 from torchmbd.design.response import Measure
 from torchmbd.design.spline import Spline
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.extensions.fatigue.rainflow import Cycles, rainflow
 from torchmbd.extensions.fatigue.sn_curve import SNCurve, power_law_damage
 from torchmbd.fem.materials import PLY_COMPONENTS
@@ -52,7 +52,6 @@ COUNT_NOTE = (
 )
 
 
-@checked_signature
 @dataclass(frozen=True)
 class EquivalentLoad(OfHistory):
     """Range of a load that does the same damage in `cycles` cycles [lanes], in the unit of the history.
@@ -125,7 +124,6 @@ class Damage(OfHistory):
         return self.repeats * _curve_damage(rainflow(curve.extremes()), self.curve)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class FatigueDamage(Measure):
     """Damage at the ply point and in the stress component of a body where it is largest [lanes] [-]: one at failure.

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import reals
 
 
@@ -29,7 +29,6 @@ class Cycles(NamedTuple):
     count: Float[Tensor, "*histories cycles"]
 
 
-@checked_signature
 def rainflow(y: Any) -> Cycles:
     """Count the cycles of histories `y` with n >= 2 values each, of any unit. Raises InputError for fewer.
 

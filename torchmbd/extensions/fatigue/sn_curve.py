@@ -23,14 +23,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import scalar
 from torchmbd.math.gradients import refuse_gradients
 
 _LEAST = 1e-3  # least allowable amplitude as a share of the smaller strength
 
 
-@checked_signature
 @dataclass(frozen=True)
 class SNCurve:
     """An S-N curve with its constant-life diagram.

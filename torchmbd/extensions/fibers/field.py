@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 from scipy.interpolate import BSpline
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.checked_numbers import indices, is_real, is_whole, reals
 from torchmbd.math.gradients import constant_arguments
@@ -31,7 +31,6 @@ from torchmbd.math.gradients import constant_arguments
 AXES = "xyz"
 
 
-@checked_signature
 class FiberField:
     """Where control points lie, and how the cells of a mesh follow from them.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.fibers.steered_laminate import SteeredLaminate
 from torchmbd.viz.figures import figure_of
 
@@ -22,7 +22,6 @@ _FLAT = 1e-6  # largest deviation of normals
 _POINTS = 200  # of the grid along the plate
 
 
-@checked_signature
 def fiber_paths(body: Any, density: float = 1.0) -> Figure:
     """Draw the fibers of a flat body of one steered laminate, in its present design.
 

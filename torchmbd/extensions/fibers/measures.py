@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import Measure
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.fibers.steered_laminate import FiberPaths, SteeredLaminate
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
@@ -54,7 +54,6 @@ class _PathMeasure(Measure):
         raise NotImplementedError(type(self).__name__)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class FiberCurvature(_PathMeasure):
     """Largest curvature of the fiber paths of a body with steered laminates [lanes] [1/m], one over the steering radius.
@@ -76,7 +75,6 @@ class FiberCurvature(_PathMeasure):
         return paths.curvature
 
 
-@checked_signature
 @dataclass(frozen=True)
 class FiberDivergence(_PathMeasure):
     """Largest relative growth of the distance of neighboring fiber paths, along them [lanes] [1/m]; gaps and overlaps.

@@ -26,7 +26,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.fibers.field import FiberField
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.materials.ply import Lamina
@@ -41,7 +41,6 @@ class FiberPaths(NamedTuple):
     divergence: Float[Tensor, "*lanes cells layers"]
 
 
-@checked_signature
 class SteeredLaminate(Laminate):
     """A stack of plies that vary over a mesh; parameters `.angles` [controls, layers] [rad] and `.thickness` [m].
 

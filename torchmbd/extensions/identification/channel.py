@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from torchmbd.design.response import History
 from torchmbd.design.words import heading, unit
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.identification.table import Table, checked_unit
 from torchmbd.math.checked_numbers import positive, scalar
 from torchmbd.math.gradients import is_variable
@@ -26,7 +26,6 @@ from torchmbd.math.gradients import is_variable
 SENSOR = ("delay", "gain", "offset")
 
 
-@checked_signature
 @dataclass(frozen=True, eq=False)
 class Channel:
     """One column of measured numbers, and the response of the model that it measures.

@@ -12,7 +12,7 @@ from typing import Any
 from torch import Tensor
 
 from torchmbd.design.scenario_settings import settings_of
-from torchmbd.errors import DesignFailure, InputError, argument_names, checked_signature
+from torchmbd.errors import DesignFailure, InputError, argument_names
 from torchmbd.extensions.identification.measurement import Limits, Measurement
 from torchmbd.extensions.identification.run import Run
 from torchmbd.integrate import Phase, Simulation
@@ -23,7 +23,6 @@ from torchmbd.multibody.system import System
 from torchmbd.summary import Summary
 
 
-@checked_signature
 class Experiment(Summary):
     """A system, and what was measured of it.
 

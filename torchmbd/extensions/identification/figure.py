@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.viz.figures import BAD, BEST, OTHER, Numbers, figure_of, plain, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@checked_signature
 def data_and_model(
     channels: Sequence[tuple[str, str, str, Numbers, Numbers, Numbers]], before: Sequence[Numbers] | None = None
 ) -> Figure:

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
-from torchmbd.errors import InputError, checked_signature, one_of
+from torchmbd.errors import InputError, one_of
 from torchmbd.extensions.identification.channel import checked_deviation
 from torchmbd.extensions.identification.measurement import Block, Measurement, Prediction
 from torchmbd.extensions.identification.modal_data import check_options
@@ -33,7 +33,6 @@ from torchmbd.results.motion_data import OK
 PARTS = {"complex": ("real", "imaginary"), "polar": ("magnitude", "phase")}
 
 
-@checked_signature
 class FrequencyResponseData(Measurement):
     """Frequency responses of some outputs by one input.
 

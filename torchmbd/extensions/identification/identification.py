@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature, nearest
+from torchmbd.errors import InputError, nearest
 from torchmbd.extensions.identification.channel_fit import ChannelFit, agreement, channel_fits
 from torchmbd.extensions.identification.deviations import NO_FREEDOM, leverages
 from torchmbd.extensions.identification.fit_problem import FitProblem, Residuals, Rows
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-@checked_signature
 @dataclass(eq=False, repr=False)
 class Identification(Summary):
     """A model fitted to measurements.

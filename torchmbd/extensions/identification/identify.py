@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature, one_of, warn, warnings_once
+from torchmbd.errors import InputError, one_of, warn, warnings_once
 from torchmbd.extensions.identification.deviations import NO_FREEDOM, Group, estimated_deviations, leverages
 from torchmbd.extensions.identification.experiment import Experiment
 from torchmbd.extensions.identification.fit_problem import FitProblem, Residuals
@@ -44,7 +44,6 @@ _TO_NORMAL = 1.4826  # deviation of a normal distribution over the median of abs
 _LEAST_DEVIATION = 1e-12  # of the data of a channel: of a model that fits to rounding
 
 
-@checked_signature
 def identify(
     experiments: Experiment | Sequence[Experiment] | Mapping[str, Experiment],
     unknowns: Sequence[str] = (),

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.histories import Displacement, Position, Velocity
-from torchmbd.errors import DesignFailure, InputError, checked_signature, nearest
+from torchmbd.errors import DesignFailure, InputError, nearest
 from torchmbd.extensions.identification.measurement import Block, Limits, Measurement, Prediction
 from torchmbd.extensions.identification.run import Run
 from torchmbd.extensions.vibrations.eigenvalues import NATURAL, POLES
@@ -61,7 +61,6 @@ def check_options(measurement: Measurement, options: Mapping[str, Any]) -> None:
         )
 
 
-@checked_signature
 class ModalData(Measurement):
     """Frequencies of small vibrations about an equilibrium; damping ratios and shapes at sensors where they were measured.
 

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.histories import Displacement
 from torchmbd.design.response import Combined, History
-from torchmbd.errors import InputError, checked_signature, nearest
+from torchmbd.errors import InputError, nearest
 from torchmbd.extensions.identification.channel import Channel, channels_of
 from torchmbd.extensions.identification.measurement import Block, Measurement, Prediction, number_of
 from torchmbd.extensions.identification.run import Run
@@ -29,7 +29,6 @@ from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
 
 
-@checked_signature
 class StaticCurve(Measurement):
     """Channels measured at rest under several loads.
 

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.design.curve import curve_of
 from torchmbd.design.spline import Spline
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.identification.channel import SENSOR, Channel, channels_of
 from torchmbd.extensions.identification.measurement import Block, Limits, Measurement, Prediction, number_of
 from torchmbd.extensions.identification.run import Run
@@ -40,7 +40,6 @@ class Samples:
     outside: int = 0
 
 
-@checked_signature
 class TimeSeries(Measurement):
     """Channels measured over time.
 

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.lamination.parameters import LaminationParameters
 from torchmbd.extensions.lamination.rules import LaminationRules
 from torchmbd.extensions.lamination.stack_recovery import (
@@ -44,7 +44,6 @@ from torchmbd.math.variable import without_variables
 STARTS = 30
 
 
-@checked_signature
 def recover_blended_stacks(
     laminates: Mapping[str, LaminationParameters],
     plies: Mapping[str, int],

@@ -25,7 +25,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature, true_or_false
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.extensions.fibers.field import FiberField
 from torchmbd.extensions.lamination.conditions import infeasibility_reasons
 from torchmbd.fem.materials import Laminate, LaminateStiffness, Ply
@@ -39,7 +39,6 @@ _UNKNOWN = (
 )
 
 
-@checked_signature
 class LaminationParameters(Laminate):
     """A laminate of one ply by lamination parameters; `.membrane`, `.coupling`, `.bending` [4] and `.thickness` vary.
 

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import Measure
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.fibers.measures import p_norm
 from torchmbd.extensions.lamination.conditions import CONDITIONS, conditions
 from torchmbd.extensions.lamination.parameters import LaminationParameters
@@ -26,7 +26,6 @@ from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
 
 
-@checked_signature
 @dataclass(frozen=True)
 class LaminationRegion(Measure):
     """Conditions on a body's lamination parameters [lanes, conditions] [-], each at most 1 for a stack of plies.

@@ -19,13 +19,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from torchmbd.errors import InputError, checked_signature, true_or_false
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.math.checked_numbers import is_real
 
 DIRECTIONS = (0.0, 90.0, 45.0, -45.0)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class LaminationRules:
     """Rules that a stack of plies has to keep.

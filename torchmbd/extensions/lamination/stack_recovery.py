@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.lamination.conditions import directions
 from torchmbd.extensions.lamination.parameters import LaminationParameters
 from torchmbd.extensions.lamination.rules import LaminationRules
@@ -41,7 +41,6 @@ class RecoveredStack(NamedTuple):
     laminate: Laminate  # of these plies, as thick as the laminate of the target
 
 
-@checked_signature
 def recover_stacks(
     laminate: LaminationParameters,
     plies: int,

@@ -11,7 +11,6 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmbd.errors import checked_signature
 from torchmbd.extensions.meshes.mesh_file import mesh_file
 from torchmbd.extensions.meshes.zones import zone_parts
 from torchmbd.fem.materials import Laminate
@@ -19,7 +18,6 @@ from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.unit_checks import warn_units
 
 
-@checked_signature
 def read_mesh(
     path: str | Path,
     name: str,

@@ -8,14 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from torchmbd.errors import checked_signature
 from torchmbd.extensions.nastran.body import bulk_body
 from torchmbd.extensions.nastran.writer import NastranBody, Source
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.unit_checks import warn_units
 
 
-@checked_signature
 def read_bdf(
     path: str | Path,
     name: str,

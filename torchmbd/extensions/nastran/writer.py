@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.flexible_bodies import flexible_bodies
-from torchmbd.errors import InputError, checked_signature, warn
+from torchmbd.errors import InputError, warn
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.cards import DeckText, line_kind, parse_cards, read_text
 from torchmbd.extensions.nastran.data import PROPERTIES
@@ -57,7 +57,6 @@ class _Stack:
     length: float
 
 
-@checked_signature
 def write_bdf(design: Any, deck: str | Path, path: str | Path | None = None) -> Path:
     """Write ply angles and thicknesses of a design into the deck that its bodies were read from; other cards are untouched.
 

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from torchmbd.errors import checked_signature
 from torchmbd.extensions.robots.assembly import robot
 from torchmbd.extensions.robots.mjcf import mjcf_robot
 from torchmbd.extensions.robots.urdf import urdf_robot
@@ -17,7 +16,6 @@ from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.system import System
 
 
-@checked_signature
 def read_urdf(
     path: str | Path, flexible: Mapping[str, FlexibleBody] | None = None, fixed_base: bool = True, **options: Any
 ) -> System:
@@ -42,7 +40,6 @@ def read_urdf(
     return System(**robot(urdf_robot(path), flexible or {}, fixed_base, **options))
 
 
-@checked_signature
 def read_mjcf(path: str | Path, flexible: Mapping[str, FlexibleBody] | None = None, **options: Any) -> System:
     """A mechanism of MuJoCo's format: bodies, joints, springs, actuators on joints, connections (extensions/robots/mjcf.py).
 

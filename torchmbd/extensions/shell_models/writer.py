@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmbd.design.flexible_bodies import flexible_bodies
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.extensions.nastran.materials import units_of
 from torchmbd.extensions.shell_models.bulk_data import bulk_data
 from torchmbd.extensions.shell_models.input_file import ELEMENTS, input_file
@@ -19,7 +19,6 @@ from torchmbd.math.checked_numbers import is_whole
 BULK_DATA = (".bdf", ".dat", ".nas")
 
 
-@checked_signature
 def write_model(
     design: Any,
     path: str | Path,

@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Complex, Float, Int
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.vibrations.eigenvalues import POLES
 from torchmbd.extensions.vibrations.likeness import Shapes
 from torchmbd.extensions.vibrations.spectrum import SWINGS, Spectrum
@@ -62,7 +62,6 @@ class Campbell(NamedTuple):
     whirl: Int[Tensor, "designs k n"]
 
 
-@checked_signature
 def campbell(
     system: System,
     speeds: Sequence[float] | Tensor,

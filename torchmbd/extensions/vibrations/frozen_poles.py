@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Complex
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.vibrations.eigenvalues import poles_of_matrices
 from torchmbd.extensions.vibrations.moving_state import MovingLinearization, time_index
 from torchmbd.integrate.equilibrium import Equilibrium
@@ -20,7 +20,6 @@ from torchmbd.multibody.equilibrium.linearized import factored_inertia
 from torchmbd.results.trajectory import Trajectory
 
 
-@checked_signature
 @exclusive
 def frozen_poles(
     motion: Trajectory, time: float | None = None, coordinates: Sequence[str] | None = None

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from torchmbd.errors import InputError, SimulationFailure, checked_signature
+from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.extensions.vibrations.moving_state import MovingLinearization, time_index
 from torchmbd.extensions.vibrations.port_functions import PortFunctions, Ports
 from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
@@ -47,7 +47,6 @@ _KEPT, _SAME = (
 _UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that of one coordinate
 
 
-@checked_signature
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
     """x' = A x + B u, y = C x + D u about a state; arrays of NumPy, as scipy.signal and `control.ss` take them.
@@ -89,7 +88,6 @@ class LinearSystem:
         return np.stack(result) if result else np.zeros((0, *self.D.shape), dtype=complex)
 
 
-@checked_signature
 def linearize(
     system: System,
     inputs: Sequence[Actuator],

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from torchmbd.errors import InputError, checked_signature, unknown, warn
+from torchmbd.errors import InputError, unknown, warn
 from torchmbd.extensions.windio.contours import Contours
 from torchmbd.extensions.windio.profile import NARROWEST, Layer, Profile, Web, profile_section
 from torchmbd.extensions.windio.span_values import span_values
@@ -40,7 +40,6 @@ SHORTER = 0.5  # of the contour: a layer goes round the trailing edge if its sta
 Array = NDArray[np.float64]
 
 
-@checked_signature
 def read_windio(path: str | Path) -> WindIOBlade:
     """The blade of a windIO file (.yaml): `section(position)` makes a section, `station(position)` says where it lies.
 

@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh.mesh import node_members
 from torchmbd.fem.mesh.mesh_checks import connected_parts, repeated_rows
 from torchmbd.math.checked_numbers import indices, is_whole, parameter, reals
@@ -89,7 +89,6 @@ def present_nodes(mesh: Any) -> Float[Tensor, "*lanes n 3"]:
     return variables.evaluated()
 
 
-@checked_signature
 class BeamLine:
     """A chain or net of beam elements.
 

@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.gradients import all_true, constant_arguments, refuse_gradients
 from torchmbd.math.gradients import untransformed as plain_numbers
@@ -42,7 +42,6 @@ class BeamSection(Protocol):
     def mass(self) -> Float[Tensor, "*lanes 6 6"]: ...
 
 
-@checked_signature
 class GivenSection(nn.Module):
     """A section of known matrices. `.matrix` is a parameter, the stiffness; it requires no gradient by default.
 

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature, true_or_false
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.elements import BeamLine, BeamMatrices
 from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
 from torchmbd.fem.exact_beam.assemble import beam_data
@@ -70,7 +70,6 @@ class BeamState(NamedTuple):
     path: tuple[Float[Tensor, " k"], Float[Tensor, "k n 3"]]
 
 
-@checked_signature
 class ExactBeam(nn.Module):
     """A beam of finite displacements and rotations, on its own (no body of a System).
 

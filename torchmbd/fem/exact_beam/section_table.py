@@ -12,12 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamSection, GivenSection
 from torchmbd.math.checked_numbers import reals
 
 
-@checked_signature
 class SectionTable(nn.Module):
     """Sections at positions along a beam; between them stiffness and mass are linear in the position.
 

@@ -37,7 +37,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature, true_or_false
+from torchmbd.errors import InputError, keyword_hints, true_or_false
 from torchmbd.fem.materials.laminate_checks import checked_angles, checked_correction, checked_plies, checked_thickness
 from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
@@ -79,7 +79,7 @@ class LaminateStiffness(NamedTuple):
         return cls(A, B, D, numbers[3][..., two].unflatten(-1, (2, 2)))
 
 
-@checked_signature
+@keyword_hints
 class Laminate(nn.Module):
     """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
 

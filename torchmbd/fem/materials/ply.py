@@ -25,7 +25,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError, keyword_hints
 from torchmbd.fem.materials.strength import Strength
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.plausible_units import warn_unusual_material
@@ -58,7 +58,7 @@ class Lamina:
         return torch.diag_embed(stacked((self.G13, self.G23)))
 
 
-@checked_signature
+@keyword_hints
 @dataclass(frozen=True)
 class Ply(Lamina):
     """One unidirectional layer in its own axes (1 = fiber, 2 = across, 3 = thickness); Ply.isotropic makes that of a metal.

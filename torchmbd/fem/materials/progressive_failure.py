@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.fem.materials.failure_modes import FIBER, MODES, FailureModes
 from torchmbd.fem.materials.laminate import Laminate, strain_rotations
 from torchmbd.math.checked_numbers import is_real, reals
@@ -47,7 +47,6 @@ class PlyLoss(NamedTuple):
     mode: str
 
 
-@checked_signature
 def progressive_failure(
     laminate: Laminate,
     force: Sequence[float] | Tensor = (0.0, 0.0, 0.0),

@@ -35,7 +35,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.materials.failure_modes import MODES
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.variable import check_positive, number, stacked
@@ -44,7 +44,6 @@ from torchmbd.math.variable import check_positive, number, stacked
 PLY_COMPONENTS = ("11", "22", "12", "13", "23")
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Strength:
     """Strengths of one ply [Pa], all positive.

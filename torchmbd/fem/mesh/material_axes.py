@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, argument_names, unknown
 from torchmbd.fem.mesh.mesh import Mesh
 from torchmbd.math.checked_numbers import reals
 
@@ -30,7 +30,6 @@ _NORMAL = 0.05  # sine of the angle between an axis and a cell's normal (3 degre
 _KINDS = {"rectangular": "xyz", "cylindrical": ("r", "theta", "z")}
 
 
-@checked_signature
 @dataclass(frozen=True, eq=False)
 class MaterialAxes:
     """A rule for `direction` of plates: made by `around`, `along` and `in_system`.
@@ -67,10 +66,15 @@ def rule_of(mapping: Mapping[str, Any]) -> MaterialAxes:
     [(name, arguments)] = mapping.items()
     if name not in rules:
         raise unknown("rule of direction", name, rules)
+    for key in arguments:
+        if key not in (names := argument_names(rules[name])):
+            raise InputError(("direction", name, key), key, names, noun=f"argument of {name}")
+    first = argument_names(rules[name])[0]  # the others have defaults
+    if first not in arguments:
+        raise InputError(("direction", name, first), rule="is missing")
     return rules[name](**arguments)
 
 
-@checked_signature
 def in_system(
     axes: Sequence[Sequence[float]] | Tensor,
     origin: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
@@ -105,7 +109,6 @@ def in_system(
     return MaterialAxes(axes_at)
 
 
-@checked_signature
 def around(axis: Sequence[float] | Tensor, point: Sequence[float] | Tensor = (0.0, 0.0, 0.0)) -> MaterialAxes:
     """Directions around an axis [3] through a point [3] [m], right-handed; where a cell is normal to them, along the axis.
 
@@ -122,7 +125,6 @@ def around(axis: Sequence[float] | Tensor, point: Sequence[float] | Tensor = (0.
     return in_system(torch.stack([x, torch.linalg.cross(z, x), z], 1), point, "cylindrical", "theta")
 
 
-@checked_signature
 def along(points: Sequence[Sequence[float]] | Tensor) -> MaterialAxes:
     """Directions along a curve through points [k, 3] [m]: the tangent of its nearest segment."""
     p = reals("points", points)

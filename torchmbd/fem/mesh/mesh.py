@@ -21,7 +21,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.mesh.mesh_checks import check, directed_area
 from torchmbd.math.checked_numbers import indices, reals, scalar
 from torchmbd.math.gradients import constant_arguments
@@ -49,7 +49,6 @@ def node_members(kind: str, name: Any, members: Any) -> tuple[int, ...]:
     return tuple(nodes.tolist())
 
 
-@checked_signature
 @dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
     """Cells and lines in space, with names for nodes; the module header lists the checks.

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, warn
+from torchmbd.errors import InputError, warn
 
 #: A cell is collapsed when a corner's height over the longest side is less than this part of that side.
 FLATNESS = 1e-6
@@ -56,7 +56,6 @@ class Cells(Protocol):
     def node_name(self, k: int) -> str: ...
 
 
-@checked_signature
 def directed_area(p: Float[Tensor, "m corners 3"]) -> Float[Tensor, "m 3"]:
     """Area of polygons along their normals [m2]; of a triangle half the cross product of two sides, to the last digit."""
     arms = p - p[:, :1]

@@ -15,13 +15,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from torch import Tensor
 
-from torchmbd.errors import checked_signature
-
 #: Diagonals that differ by less than this part are taken as equal.
 EQUAL = 0.05
 
 
-@checked_signature
 def cut_quads(nodes: Float[Tensor, "n 3"], quads: Int[Tensor, "m 4"]) -> Int[Tensor, "m 2 3"]:
     """Return two triangles for each quadrilateral, wound as it is."""
     if len(quads) == 0:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh.mesh import Mesh
 from torchmbd.math.checked_numbers import is_whole, positive
 
@@ -26,7 +26,6 @@ MOST_NODES = 1_000_000
 KINDS = ("quad", "triangle")
 
 
-@checked_signature
 def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "quad") -> Mesh:
     """Mesh a plate of length (x) times width (y) [m] by cells = (nx, ny), normals +z.
 

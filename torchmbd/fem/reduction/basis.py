@@ -40,7 +40,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.reduction.cut import cut_error, cut_modes
 from torchmbd.fem.reduction.forms import check, check_positive_diagonal, recognize
 from torchmbd.fem.reduction.operator_call import ModeDerivative
@@ -70,7 +70,6 @@ def signs(vectors: Tensor) -> Tensor:
     return torch.where(along < 0, -torch.ones_like(along), 1.0).unsqueeze(-2)
 
 
-@checked_signature
 def modal_basis(
     K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated: bool = True, more: int = 0
 ) -> ModalBasis:

@@ -44,7 +44,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.func import jvp
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER, Matrix, parse_pencil, signs, solve
 from torchmbd.fem.reduction.cut import rounding
 from torchmbd.fem.reduction.eigenpairs import ModeSeparation, same_cluster
@@ -68,7 +68,6 @@ class Branches(NamedTuple):
     split: Int[Tensor, " modes"]
 
 
-@checked_signature
 def eigenpair_branches(
     matrices: Callable[[Tensor], tuple[Matrix, Matrix]],
     b: Float[Tensor, " variables"],

@@ -36,14 +36,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER, Matrix, ModalBasis, fixed_modes, modal_basis
 from torchmbd.fem.reduction.constraint_modes import constraint_modes, interface_freedoms, interior, interior_freedoms
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import SparseMatrix
 
 
-@checked_signature
 def craig_bampton(
     K: Matrix,
     M: Matrix,

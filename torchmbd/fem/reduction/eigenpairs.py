@@ -65,7 +65,7 @@ from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 from torch.func import debug_unwrap
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER, modal_basis, parse_pencil
 from torchmbd.fem.reduction.cut import ROUNDING, rounding
 from torchmbd.fem.reduction.forms import Diagonal, Form, Sparse
@@ -91,7 +91,6 @@ class Eigenpairs(NamedTuple):
     vectors: Float[Tensor, "*lanes freedoms modes"]
 
 
-@checked_signature
 def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, cluster: float = CLUSTER) -> Eigenpairs:
     """Find the n lowest modes of K psi = lambda M psi.
 

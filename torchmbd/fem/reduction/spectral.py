@@ -21,14 +21,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER, ModalBasis
 
 #: Three, then two Gauss points.
 NODES = (0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5, 0.5 - 0.75**0.5 / 3, 0.5 + 0.75**0.5 / 3)
 
 
-@checked_signature
 def spectral_function(
     basis: ModalBasis, g: Callable[[Tensor], Tensor], columns: Float[Tensor, "*lanes freedoms k"] | None = None
 ) -> Float[Tensor, "*lanes freedoms k"]:

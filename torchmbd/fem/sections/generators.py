@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, unknown
+from torchmbd.errors import InputError, keyword_hints, unknown
 from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.patches import Patch, between, graded, grid, line, parametric_mesh
@@ -92,7 +92,6 @@ Plies = Lamina | Orthotropic | Sequence[Lamina | Orthotropic]
 Varying = float | Sequence[float] | Tensor  # numbers, or a Parameter (`constant_arguments`)
 
 
-@checked_signature
 @constant_arguments
 def strip(
     width: float | Tensor,
@@ -120,7 +119,6 @@ def strip(
     return Section(parametric_mesh(build, {"width": width, "thickness": thickness}, order), ply, angles)
 
 
-@checked_signature
 @constant_arguments
 def rectangle(
     width: float | Tensor,
@@ -149,7 +147,6 @@ def rectangle(
     return Section(parametric_mesh(build, {"width": width, "height": height}, order), ply, angles)
 
 
-@checked_signature
 @constant_arguments
 def box(
     width: float | Tensor,
@@ -203,7 +200,7 @@ def box(
     )
 
 
-@checked_signature
+@keyword_hints
 @constant_arguments
 def tube(
     radius: float | Tensor,
@@ -240,7 +237,6 @@ def tube(
     return Section(parametric_mesh(build, {"radius": radius, "thickness": thickness}, order), ply, angles)
 
 
-@checked_signature
 @constant_arguments
 def circle(
     radius: float | Tensor,
@@ -275,7 +271,6 @@ def circle(
     return Section(parametric_mesh(build, {"radius": radius}, order, plane_angle=0.0), ply, (angle,))
 
 
-@checked_signature
 @constant_arguments
 def i_section(
     width: float | Tensor,

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.mesh.mesh_checks import connected_parts, repeated_rows
 from torchmbd.fem.sections.shapes import corners, rule, shape
 from torchmbd.math.checked_numbers import indices, reals
@@ -33,7 +33,6 @@ from torchmbd.math.checked_numbers import indices, reals
 KINDS = (3, 4, 6, 8)
 
 
-@checked_signature
 class SectionMesh:
     """See the module header. `elements` becomes a tuple of arrays, one for each kind, in the order given.
 

@@ -25,7 +25,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.materials import Strength
 from torchmbd.fem.materials.ply import IsotropicPly, Lamina, check_isotropic
 from torchmbd.math.checked_numbers import is_real
@@ -33,7 +33,6 @@ from torchmbd.math.plausible_units import warn_unusual_material
 from torchmbd.math.variable import check_positive, is_variable, number, stacked, varies, with_fields, without_variables
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Orthotropic:
     """Elastic constants [Pa] and density [kg/m3] of a solid in its own axes (1 = fiber, 3 = through the ply).

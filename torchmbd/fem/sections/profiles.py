@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.sections.generators import (
     Angles,
@@ -45,7 +45,6 @@ _RIGHT, _LEFT, _UP, _DOWN = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
 _CELLS = (12, 1)
 
 
-@checked_signature
 @constant_arguments
 def c_section(
     width: float | Tensor,
@@ -78,7 +77,6 @@ def c_section(
     )
 
 
-@checked_signature
 @constant_arguments
 def l_section(
     width: float | Tensor,
@@ -104,7 +102,6 @@ def l_section(
     )
 
 
-@checked_signature
 @constant_arguments
 def z_section(
     width: float | Tensor,
@@ -130,7 +127,6 @@ def z_section(
     )
 
 
-@checked_signature
 @constant_arguments
 def hat_section(
     width: float | Tensor,
@@ -158,7 +154,6 @@ def hat_section(
     return _chain("hat_section", walls, path, lengths, (2, 2, 2), ply, angles, thickness, cells, order)
 
 
-@checked_signature
 @constant_arguments
 def t_section(
     width: float | Tensor,

@@ -23,7 +23,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.integrate.lanes import expanded, join_lanes, lanes_of, pick_lanes
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
@@ -44,7 +44,6 @@ DIRECTIONS = {"falling": -1, "rising": 1, "either": 0}
 ROUNDING = 1e-9  # of the function after a step: what it is where a phase begins at its zero
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Event:
     """The time when a function of the motion passes zero; it ends a phase.

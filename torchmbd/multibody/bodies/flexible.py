@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature, true_or_false
+from torchmbd.errors import InputError, keyword_hints, true_or_false
 from torchmbd.fem.elements import (
     Assembly,
     BeamLine,
@@ -62,7 +62,7 @@ Node = str | int
 InterfaceArgument = Node | Interface | Sequence[Node | Interface] | Mapping[str, Any]
 
 
-@checked_signature
+@keyword_hints
 class FlexibleBody(MatrixMethods, nn.Module):
     """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_matrices` or `.from_reduced`, or by readers of files.
 

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
 from torchmbd.fem.elements.beam_line import varying_nodes
 from torchmbd.fem.exact_beam import ExactBeam
@@ -69,7 +69,6 @@ class Structure(NamedTuple):
         return {"mass": m, "mu": torch.zeros_like(m)} | moments
 
 
-@checked_signature
 class FlexibleBeam(ExactBeam):
     """A beam of finite displacements and rotations, as a body of a System.
 

@@ -22,13 +22,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, true_or_false
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.elements import MeanMotion, RigidLink
 from torchmbd.fem.elements.beam_line import varying_nodes
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Interface:
     """Nodes whose common motion a Craig-Bampton reduction keeps, six freedoms; see the module header.

@@ -15,7 +15,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError, keyword_hints
 from torchmbd.math.checked_numbers import parameter, positive
 from torchmbd.math.plausible_units import GYRATION, warn_unusual
 from torchmbd.multibody.bodies.frame import (
@@ -29,7 +29,6 @@ from torchmbd.multibody.bodies.frame import (
 )
 
 
-@checked_signature
 class Ground:
     """The inertial frame; joints attach bodies to it.
 
@@ -60,7 +59,7 @@ class Ground:
         return frame_at("point", self, (x, y, z), axes, turn)
 
 
-@checked_signature
+@keyword_hints
 class RigidBody(nn.Module):
     """A rigid body.
 

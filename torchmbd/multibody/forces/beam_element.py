@@ -18,7 +18,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import nonnegative, parameter, reals
 from torchmbd.math.rigid_motion import LARGEST, logarithm
 from torchmbd.math.variable import ParameterVector
@@ -27,7 +27,6 @@ from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.joints.joint import AttachmentTable
 
 
-@checked_signature
 class BeamElement(ForceElement):
     """An elastic connection of two frames of rigid bodies, whose displacements and rotations are not small.
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import nonnegative
 from torchmbd.math.variable import number
 from torchmbd.multibody.bodies.frame import Frame
@@ -35,7 +35,6 @@ class _Mount(Spring):
     nonnegative: ClassVar[tuple[str, ...]] = ("stiffness", "damping")
 
 
-@checked_signature
 class Bushing(ForceElement):
     """An elastic mount between two frames: springs and dampers along three axes, and about them.
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.variable import ParameterVector, number
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.forces.action import Along, Spin, Turn
@@ -75,7 +75,6 @@ class _Stop(_Contact):
         return Port(self.control, ((0, False), (1, True)), 0, center=center)
 
 
-@checked_signature
 class AxialStop(_Stop):
     """Stops of a sliding joint: s = (g_b - g_a) . axis stays between two limits, or above or below one.
 
@@ -101,7 +100,6 @@ class AxialStop(_Stop):
         yield Applied(Along, vectors, self._port())
 
 
-@checked_signature
 class RotationalStop(_Stop):
     """Stops of a hinge: the angle about an axis of frame a stays between two limits, or above or below one.
 
@@ -134,7 +132,6 @@ class RotationalStop(_Stop):
         yield Applied(Turn, vectors, self._port(self.middle))
 
 
-@checked_signature
 class PlaneContact(_Contact):
     """Contact of a point of a body, or a sphere about it, with a plane of another body or the ground, with friction.
 

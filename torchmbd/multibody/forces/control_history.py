@@ -8,14 +8,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import parameter, positive
 
 _KINDS = ("linear", "hold")
 _ROUNDING = 1e-9  # share of an interval by which rounding may move a time
 
 
-@checked_signature
 class ControlHistory(nn.Module):
     """Open-loop control u(t): the module of a Controller whose only input is mbd.signals.Time().
 

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature, user_line
+from torchmbd.errors import InputError, user_line
 from torchmbd.math.checked_numbers import list_of
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.variable import ParameterVector
@@ -30,7 +30,6 @@ from torchmbd.multibody.joints.joint import AttachmentTable
 VARIABLES = "parameters of the module; constant tensors"
 
 
-@checked_signature
 class Controller(ForceElement):
     """Feedback u = module(x): the module reads signals of the motion and sets forces and torques.
 

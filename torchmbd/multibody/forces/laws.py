@@ -28,7 +28,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature, user_line
+from torchmbd.errors import InputError, user_line
 from torchmbd.math.checked_numbers import reals, scalar
 from torchmbd.math.elementwise import reciprocal, tanh
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
@@ -45,7 +45,6 @@ def data_fields(law: Any) -> tuple[str, ...]:
     return getattr(law, "data_fields", ())
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Spring:
     """Linear spring and damper: stiffness k, damping c, rest s0."""
@@ -68,7 +67,6 @@ class Spring:
         return zero - self.stiffness, zero - self.damping
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Scaled:
     """Another law times a factor: the strength of an actuator."""
@@ -85,7 +83,6 @@ class Scaled:
         return self.factor * self.law(s, rate, t)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Table:
     """Continuous, piecewise linear: knots (s, f) with growing s, constant outside; and damping c."""
@@ -122,7 +119,6 @@ class Table:
         return list(zip(x, [b - a for a, b in zip([0.0, *k], [*k, 0.0], strict=True)], strict=True))
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Pieces:
     """Piecewise linear with jumps: f = intercepts[i] + inclines[i] s between borders[i - 1] and borders[i].
@@ -173,7 +169,6 @@ class Pieces:
         return self.intercepts[i + 1] - self.intercepts[i] + (self.inclines[i + 1] - self.inclines[i]) * s
 
 
-@checked_signature
 @dataclass(frozen=True)
 class OfTime:
     """A force that is a torch function of time alone, or constant."""
@@ -199,7 +194,6 @@ class OfTime:
         return torch.zeros_like(s), torch.zeros_like(s)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Gap:
     """A one-sided stop: f = k d - c d' s' for the penetration d = limit - s > 0 (sign +1), or s - limit (sign -1).
@@ -242,7 +236,6 @@ class Gap:
         return depth, u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / self.smooth
 
 
-@checked_signature
 @dataclass(frozen=True)
 class Friction:
     """Dry friction, smoothed: f = -force tanh(s' / speed). Below `speed` bodies creep instead of sticking."""

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Push, Twist
@@ -55,7 +55,6 @@ def _component(vector: Callable[..., Any], k: int, t: Tensor) -> Tensor:
     return vector(t)[k]
 
 
-@checked_signature
 class Force(_Load):
     """`Force(frame, (fx, fy, fz))`: a force at the point of a frame.
 
@@ -80,7 +79,6 @@ class Force(_Load):
                 yield Applied(Push, (attachments.point(self.frames[0]), self._axis(attachments, axis)), law)
 
 
-@checked_signature
 class Torque(_Load):
     """`Torque(frame, (mx, my, mz))`: a torque on the body, or on the node, of a frame.
 

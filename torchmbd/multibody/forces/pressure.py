@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh, directed_area
 from torchmbd.multibody.bodies.frame import Frame, vector
 from torchmbd.multibody.bodies.rigid import Ground
@@ -33,7 +33,6 @@ _ZERO = 1e-12  # share of the largest component of area that counts as none
 Part = tuple[Frame, str, float]  # of the load: frame on its nodes, axis, and area along the axis [m2]
 
 
-@checked_signature
 class Pressure(ForceElement):
     """`Pressure(body, p)` [Pa] along the normals of the mesh, or `Pressure(body, p, direction=(0, 0, -1))`.
 

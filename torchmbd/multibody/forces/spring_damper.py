@@ -12,7 +12,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError, keyword_hints
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.forces.action import Along, Law, Length, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
@@ -43,7 +43,7 @@ class _Between(ForceElement):
         self.law = check_law(self.name, spring if law is None else self.law_variables.law(law))
 
 
-@checked_signature
+@keyword_hints
 class SpringDamper(_Between):
     """Spring and damper along the line from a to b, linear, or with a law of your own.
 
@@ -64,7 +64,6 @@ class SpringDamper(_Between):
         yield Applied(Length, (attachments.point(a), attachments.point(b)), self.law)
 
 
-@checked_signature
 class AxialSpringDamper(_Between):
     """Spring and damper along an axis of frame a: s = (g_b - g_a) . axis, for a sliding joint.
 
@@ -88,7 +87,6 @@ class AxialSpringDamper(_Between):
         yield Applied(Along, (attachments.point(a), attachments.point(b), attachments.axis(a, self.axis)), self.law)
 
 
-@checked_signature
 class RotationalSpringDamper(_Between):
     """Spring and damper about an axis of frame a, for a hinge.
 

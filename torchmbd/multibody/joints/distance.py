@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.errors import checked_signature
 from torchmbd.math.checked_numbers import positive
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Distance as DistancePrimitive
 
 
-@checked_signature
 class Distance(Joint):
     """`Distance(a, b, length=...)`: the points of both frames keep their distance `length` > 0 [m]. One equation.
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.errors import checked_signature
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 
 
-@checked_signature
 class Fixed(Joint):
     """`Fixed(a, b)`: the points coincide, and the relative rotation keeps its initial value. Six equations.
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.variable import ParameterVector, is_variable, number
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, JointCoordinate
@@ -28,7 +28,6 @@ from torchmbd.multibody.joints.relation import RELATIONS, Factors
 MOST = 3  # coordinates
 
 
-@checked_signature
 class JointCoupling(Joint):
     """`JointCoupling([first.angle, second.angle], [ratio, -1.0])`: sum of factors times coordinates = offset. One equation.
 

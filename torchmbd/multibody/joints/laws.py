@@ -20,14 +20,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.math.variable import is_variable
 from torchmbd.multibody.joints.primitive import Law, slopes, slopes_at, values_at
 
 Slopes = tuple[Tensor, Tensor, Tensor]
 
 
-@checked_signature
 class ConstantSpeed(nn.Module):
     """x(t) = speed * t; speed in [rad/s] or [m/s].
 
@@ -47,7 +46,6 @@ class ConstantSpeed(nn.Module):
         return self.speed * t, self.speed + torch.zeros_like(t), torch.zeros_like(t)
 
 
-@checked_signature
 class SmoothStep(nn.Module):
     """From 0 to `size` [rad] or [m] between `start` and `start + duration` [s], at rest before and after.
 
@@ -80,7 +78,6 @@ class SmoothStep(nn.Module):
         return ((t - self.start) / self.duration).clamp(0.0, 1.0)
 
 
-@checked_signature
 class Sine(nn.Module):
     """x(t) = amplitude sin(2 pi frequency t); amplitude in [rad] or [m], frequency in [Hz].
 

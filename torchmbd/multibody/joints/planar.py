@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.errors import checked_signature
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, other_axes
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
-@checked_signature
 class Planar(Joint):
     """`Planar(a, b, normal="z")`: the point of b stays in the plane of frame a across `normal`; b turns about the normal.
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.errors import checked_signature
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Plane
 
 
-@checked_signature
 class PointOnPlane(Joint):
     """`PointOnPlane(a, b, normal="z")`: the point of b stays in the plane through frame a across `normal`. One equation.
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.errors import checked_signature
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, JointCoordinate, other_axes
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
-@checked_signature
 class Prismatic(Joint):
     """`Prismatic(a, b, axis="x")`: the point of b slides along `axis` of frame a; b does not turn. Five equations.
 

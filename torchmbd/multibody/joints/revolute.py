@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.errors import checked_signature
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, JointCoordinate, other_axes
 from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 
 
-@checked_signature
 class Revolute(Joint):
     """`Revolute(a, b, axis="z")`: hinge at the points of both frames, about `axis` of frame a. Five equations.
 

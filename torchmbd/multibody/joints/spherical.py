@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.errors import checked_signature
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Coincide
 
 
-@checked_signature
 class Spherical(Joint):
     """`Spherical(a, b)`: the points of frames a and b coincide. Three equations.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import torch
 
-from torchmbd.errors import InputError, checked_signature, warn
+from torchmbd.errors import InputError, warn
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
@@ -15,7 +15,6 @@ from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 _SKEW = 1e-3  # [rad] of axes that are typed with three digits
 
 
-@checked_signature
 class Universal(Joint):
     """`Universal(a, b, axes="yz")`: two letters, both axes of frame a at the start. Four equations.
 

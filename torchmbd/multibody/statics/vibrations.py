@@ -19,7 +19,7 @@ from typing import NamedTuple
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.reduction import CutCluster, Matrix, ModalBasis, eigenvalues, modal_basis
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true
@@ -52,7 +52,6 @@ class Vibrations(NamedTuple):
     status: str
 
 
-@checked_signature
 def frequencies(body: FlexibleBody, supports: Supports | None = None, number: int = 1) -> Vibrations:
     """Find the lowest natural frequencies of a body on supports; differentiable by its parameters.
 

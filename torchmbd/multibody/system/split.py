@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine, Beams
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.multibody.bodies import FlexibleBody
@@ -59,7 +59,6 @@ class Chain:
         return self.bodies[piece].at(nodes[0] - self.starts[piece], axes, offset)
 
 
-@checked_signature
 def split(body: FlexibleBody, n: int, modes: int = 1, interface: str | int | Sequence[str | int] = ()) -> Chain:
     """A beam as a chain of n flexible bodies with about equal numbers of elements, for large bending.
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, checked_signature, one_of, unknown
+from torchmbd.errors import InputError, keyword_hints, one_of, unknown
 from torchmbd.math.checked_numbers import list_of, positive
 from torchmbd.math.gradients import refuse_derivatives
 from torchmbd.math.module_call import call_module, exclusive, outside_transforms
@@ -54,7 +54,7 @@ _START_VARIABLES = ("position", *VELOCITIES, *MODAL)  # numbers of the initial s
 _START = (*POSE, *VELOCITIES, *MODAL)  # all numbers of the initial state
 
 
-@checked_signature
+@keyword_hints
 class System(nn.Module):
     """Bodies joined by joints.
 

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import argument_names, checked_signature, warnings_once
+from torchmbd.errors import argument_names, warnings_once
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import MemoryCachedProblem
 from torchmbd.optimization.discrete.grid import Allowed, Grid
@@ -230,7 +230,6 @@ class DiscreteResult:
     names: list[str] = field(default_factory=list)
 
 
-@checked_signature
 @warnings_once()
 def optimize_discrete(
     problem: NonlinearProgram,

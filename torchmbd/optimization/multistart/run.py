@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import argument_names, checked_signature, true_or_false, warnings_once
+from torchmbd.errors import argument_names, true_or_false, warnings_once
 from torchmbd.optimization.api import (
     FEASIBILITY,
     MAX_ITERATIONS,
@@ -227,7 +227,6 @@ class MultistartResult(Summary):
         return sum(r.gradient_evaluations for r in self.results)
 
 
-@checked_signature
 @warnings_once()
 def multistart(
     problem: NonlinearProgram,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, checked_signature, true_or_false
+from torchmbd.errors import InputError, true_or_false
 from torchmbd.optimization.optimizer import Box, as_numbers, require_count
 
 
@@ -29,7 +29,6 @@ class Starts:
         return self.draw(problem)
 
 
-@checked_signature
 def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     """Start designs of a scrambled Sobol sequence over the bounds of the problem [count, n].
 
@@ -46,7 +45,6 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     return _drawn("sobol", _sobol, count, seed, include_initial)
 
 
-@checked_signature
 def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Starts:
     """Start designs [count, n]; the values of each variable fill its range evenly.
 

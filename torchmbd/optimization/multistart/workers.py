@@ -34,7 +34,7 @@ import cloudpickle
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, MbdError, checked_signature
+from torchmbd.errors import InputError, MbdError
 from torchmbd.optimization.optimizer import Evaluation, NonlinearProgram, require_problem
 from torchmbd.process import THREADS, brief_warnings, cores, use_one_thread, worker_threads
 
@@ -199,7 +199,6 @@ class WorkerBatch:
         self.workers.cancel(self.futures)
 
 
-@checked_signature
 class Processes(Workers):
     """`problem` with its batches evaluated by `count` processes of this machine (default: one for each core).
 

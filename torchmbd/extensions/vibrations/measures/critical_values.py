@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchmbd.errors import DesignFailure, InputError, checked_signature, one_of
+from torchmbd.errors import DesignFailure, InputError, one_of
 from torchmbd.extensions.vibrations.eigenvalues import NATURAL, POLES
 from torchmbd.extensions.vibrations.measures.system_vibrations import OfVibrations, number_of, positive_band, rising
 from torchmbd.extensions.vibrations.steady_states import Shaft, SteadyStates, steady_states
@@ -104,7 +104,6 @@ def _check_points(points: object) -> None:
         raise InputError("points", points, "2, 3, ...")
 
 
-@checked_signature
 @dataclass(frozen=True)
 class CriticalSpeed(OfVibrations):
     """A speed [lanes] [rad/s] at which a natural frequency, as a fixed observer sees it, is a multiple of the speed.
@@ -229,7 +228,6 @@ def _seen_from_ground(
     )
 
 
-@checked_signature
 @dataclass(frozen=True)
 class StabilityLimit(OfVibrations):
     """The least value [lanes] of a parameter, in its unit, at which vibrations begin to grow: a flutter load or speed.

@@ -16,7 +16,7 @@ from typing import ClassVar, NamedTuple
 
 from torch import Tensor
 
-from torchmbd.errors import checked_signature, one_of
+from torchmbd.errors import one_of
 from torchmbd.extensions.vibrations.frequency_response import QUANTITIES
 from torchmbd.extensions.vibrations.largest_response import largest_response
 from torchmbd.extensions.vibrations.linear_system import system_with_ports
@@ -47,7 +47,6 @@ class ResponsePeak(NamedTuple):
     where: list[str]
 
 
-@checked_signature
 @dataclass(frozen=True)
 class FrequencyResponse(OfVibrations):
     """Largest magnitude [lanes] of a response to a harmonic input of size one over a band of frequencies; limit: at most.

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import Measure
-from torchmbd.errors import DesignFailure, InputError, checked_signature, true_or_false
+from torchmbd.errors import DesignFailure, InputError, true_or_false
 from torchmbd.extensions.vibrations.eigenvalues import NATURAL, POLES
 from torchmbd.extensions.vibrations.measures.followed_vibrations import followed_eigenvalue
 from torchmbd.extensions.vibrations.spectrum import SWINGS
@@ -87,7 +87,6 @@ def number_of(name: str, number: object) -> None:
         raise InputError(f"{name} is {number!r}; allowed: 1, 2, ...")
 
 
-@checked_signature
 @dataclass(frozen=True)
 class SystemFrequency(OfVibrations):
     """Natural frequency [lanes] [Hz] of the whole system, without damping.
@@ -138,7 +137,6 @@ class SystemFrequency(OfVibrations):
         return torch.exp(powers / (2.0 * self.power)) / (2.0 * math.pi)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class DampingRatio(OfVibrations):
     """Damping ratio -Re s / |s| [lanes] [-] of a pole s of the whole system; negative where the vibration grows.
@@ -186,7 +184,6 @@ class DampingRatio(OfVibrations):
         return torch.stack(ratios)
 
 
-@checked_signature
 @dataclass(frozen=True)
 class StabilityMargin(OfVibrations):
     """Largest real part [lanes] [1/s] of the poles of the whole system, smooth: below zero the state is stable.
@@ -228,7 +225,6 @@ class StabilityMargin(OfVibrations):
         return growth.gather(1, worst[:, None])[:, 0]
 
 
-@checked_signature
 @dataclass(frozen=True)
 class CampbellClearance(OfVibrations):
     """Relative distances [lanes, rows] [-] of frequencies f from n times the speed over a band of speeds; limit: at least.

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.extensions.vibrations.spectrum import SWINGS, Spectrum
 from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.math.checked_numbers import is_whole, positive
@@ -39,7 +39,6 @@ _UNIT = 1e-6  # of a motion from which displacements are measured: small enough 
 _TURN = 0.15  # largest rotation of a body [rad]
 
 
-@checked_signature
 def mode_motion(
     rest: Equilibrium, number: int = 1, lane: int = 0, size: float = 0.08, periods: int = 1, frames: int = 48
 ) -> Trajectory:
@@ -72,7 +71,6 @@ def mode_motion(
         return _moved(rest, lane, pole, shape, phases, _UNIT * _factor(rest, unit, lane, shape, size))
 
 
-@checked_signature
 def animate_mode(
     rest: Equilibrium,
     path: str | Path,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError, checked_signature
+from torchmbd.errors import InputError
 from torchmbd.viz.figures import BAD, CYCLE, OTHER, figure_of, titled
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ _LETTER = 0.62  # width of a letter by its size
 _SENSES = {1: ("-", "forward whirl"), -1: ("--", "backward whirl"), 0: (":", "neither, or several")}
 
 
-@checked_signature
 def campbell(
     speeds: Any,
     frequencies: Any,
@@ -99,7 +98,6 @@ def _whirls(axes: Any, x: Any, f: Any, senses: Any) -> None:
     axes.legend([drawn[label] for label in labels], labels, fontsize=8, frameon=False, loc="best")
 
 
-@checked_signature
 def root_locus(values: Any, poles: Any, heading: str, title: str = "") -> Figure:
     """Poles in the complex plane, colored by a variable; those on the right grow.
 
