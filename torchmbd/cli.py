@@ -185,7 +185,10 @@ def list_(folder: Path | None = None, *, uri: Uri = None) -> int:
 
     if folder is not None and not folder.is_dir():
         raise InputError(
-            f"folder = {str(folder)!r}: must be a folder that exists. Try: no folder, which lists configs or the present folder"
+            "folder",
+            str(folder),
+            rule="must be a folder that exists",
+            hint="no folder, which lists configs or the present folder",
         )
     console = Console()
     print_configs(folder or (path if (path := Path("configs")).is_dir() else Path()), console)
@@ -238,7 +241,9 @@ def ui(
     console = Console()
     store = store_uri(uri)
     if store.file is not None and not store.file.exists():
-        raise InputError(f"uri = {store!r}: no study has been here yet; allowed: a store of studies, see torchmbd run")
+        raise InputError(
+            "uri", store, "a store of studies, see torchmbd run", state=f"= {store!r}: no study has been here yet"
+        )
     if store.served:
         console.print(f"{store} is a server already.", soft_wrap=True)
         print_links(store, store.page, console)

@@ -66,6 +66,7 @@ class InputError(MbdError, ValueError):
         rule: str = "",
         noun: str = "",
         shown: str | None = None,
+        state: str = "",
     ):
         """Make the error of an argument, or of a sentence alone.
 
@@ -73,6 +74,7 @@ class InputError(MbdError, ValueError):
         rule      a sentence in place of `allowed`
         noun      the words for the argument in the message; default: its keys, with points between them
         shown     the value in the message, with its unit; default: its repr; "": the rule says it
+        state     the words before "; allowed: ", "has shape (3,)"; default: "is" and the value
         """
         self.value = None if value is _ABSENT else value
         self.allowed = allowed if isinstance(allowed, str) else tuple(map(str, allowed))
@@ -81,7 +83,7 @@ class InputError(MbdError, ValueError):
         self.path: Path = () if self._is_sentence else (argument,) if isinstance(argument, str) else tuple(argument)
         self._noun = str(argument) if self._is_sentence else noun
         self._shown = shown if shown is not None else "" if value is _ABSENT else repr(value)
-        self._has_value = value is not _ABSENT
+        self._has_value, self._state = value is not _ABSENT, state
         super().__init__(str(self))
 
     def __reduce__(self) -> Any:
@@ -105,7 +107,7 @@ class InputError(MbdError, ValueError):
         """The message as it follows the argument's key in a file: "= -1.0 s; allowed: a positive number"."""
         if self._is_sentence or not (self.rule or isinstance(self.allowed, str)):
             return f": {self}"
-        if self._has_value and not self._shown:
+        if self._has_value and not self._shown and not self._state:
             return f"= {_brief(self.value)}: {self.predicate()}"
         return self.predicate("=")
 
@@ -116,7 +118,7 @@ class InputError(MbdError, ValueError):
             value = f"= {self._shown}: " if self._shown else ""
             return f"{value}{self.rule}{remedy}"
         if isinstance(self.allowed, str):
-            return f"{verb} {self._shown}; allowed: {self.allowed}{remedy}"
+            return f"{self._state or f'{verb} {self._shown}'}; allowed: {self.allowed}{remedy}"
         return f"{self._shown} does not exist{nearest(self.value, self.allowed)}{remedy}"
 
     def __str__(self) -> str:
@@ -198,7 +200,7 @@ def true_or_false(name: str, value: Any) -> bool:
     import numpy as np  # not above: the command line names its commands without it
 
     if not isinstance(value, np.bool_):
-        raise InputError(f"{name} is {value!r}; allowed: True or False")
+        raise InputError(name, value, "True or False")
     return bool(value)
 
 

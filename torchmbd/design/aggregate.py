@@ -55,14 +55,16 @@ class Aggregate(Measure):
         if isinstance(self.measures, Measure):
             object.__setattr__(self, "measures", [self.measures])
         if not list_of("measures", self.measures, Measure, "a measure, or a list of them"):
-            raise InputError("measures is []; allowed: a measure, or at least one in a list")
+            raise InputError("measures", allowed="a measure, or at least one in a list", state="is []")
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise unknown("kind", self.kind, KINDS)
         for name, x in (("sharpness", self.sharpness), ("scale", self.scale)):
             if scalar(name, x, "a positive number") <= 0.0:
-                raise InputError(f"{name} is {x!r}; allowed: a positive number")
+                raise InputError(name, x, "a positive number")
         if self.kind == "p_norm" and self.scale != 1.0:
-            raise InputError(f"scale is {self.scale!r} with kind 'p_norm', which needs none; allowed: 1.0")
+            raise InputError(
+                "scale", self.scale, "1.0", state=f"is {self.scale!r} with kind 'p_norm', which needs none"
+            )
 
     @property
     def operands(self) -> Sequence[Measure]:

@@ -93,7 +93,9 @@ class AtPeaks(OfHistory):
     def reduce(self, curve: Spline) -> Tensor:
         intervals = curve.t.shape[-1] - 1
         if intervals < self.count:
-            raise InputError(f"count is {self.count}; allowed: at most {intervals}, the intervals of the motion")
+            raise InputError(
+                "count", self.count, f"at most {intervals}, the intervals of the motion", shown=f"{self.count}"
+            )
         return curve.peaks(self.count)
 
     def __ge__(self, limit: float | str) -> Constraint:

@@ -50,7 +50,7 @@ def differences(
     start, origin = (tails[1], ends[1]) if scheme == "central" else (middle[:, None], X[:, None, :])
     actual = np.diagonal(ends[0] - origin, axis1=1, axis2=2)  # steps after rounding
     if not actual.all():
-        raise InputError(f"step = {step!r} does not change a design; allowed: larger steps")
+        raise InputError("step", step, "larger steps", state=f"= {step!r} does not change a design")
     slopes = (tails[0] - start) / actual.reshape(lanes, n, *[1] * (values.ndim - 1))
     return middle, np.moveaxis(slopes, 1, -1)
 
@@ -58,7 +58,7 @@ def differences(
 def _steps(step: Any, n: int, lanes: int | None = None) -> np.ndarray:
     h = as_numbers("step", step)
     if h.shape not in ((), (n,), (lanes, n)):
-        raise InputError(f"step has shape {h.shape}; allowed: a number, or {n} numbers")
+        raise InputError("step", h, f"a number, or {n} numbers", state=f"has shape {h.shape}")
     if not ((h > 0) & np.isfinite(h)).all():
         raise InputError("step", step, "positive numbers")
     return h

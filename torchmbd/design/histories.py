@@ -110,7 +110,7 @@ class Position(History):
         if self.node is not None:
             elastic_body(system, self.body).at(self.node)
         if self.point is not None and isinstance(body, FlexibleBody | FlexibleBeam):
-            raise InputError(f"point is {self.point!r} on the flexible body {self.body!r}; allowed: node")
+            raise InputError("point", self.point, "node", state=f"is {self.point!r} on the flexible body {self.body!r}")
         for name in (self.observer, self.axes):
             if name not in (None, GROUND):
                 system.body(name)
@@ -321,7 +321,9 @@ def flexible_body(system: System, name: str) -> FlexibleBody:
     body = system.body(name)
     if not isinstance(body, FlexibleBody):
         flexible = [other.name for other in system.bodies if isinstance(other, FlexibleBody)]
-        raise InputError(f"body {name!r} is rigid; allowed: {', '.join(flexible) or '(the system has none)'}")
+        raise InputError(
+            name, allowed=f"{', '.join(flexible) or '(the system has none)'}", noun=f"body {name!r}", state="is rigid"
+        )
     return body
 
 

@@ -267,7 +267,7 @@ class SmoothMax(OfHistory):
         super().__post_init__()
         for name, x in (("sharpness", self.sharpness), ("scale", self.scale)):
             if scalar(name, x, "a positive number") <= 0.0:
-                raise InputError(f"{name} is {x!r}; allowed: a positive number")
+                raise InputError(name, x, "a positive number")
 
     def reduce(self, curve: Spline) -> Tensor:
         rho, (y, new) = self.sharpness / self.scale, curve.samples()

@@ -258,7 +258,9 @@ class Problem(Summary):
     def _checked(self, X: Any, *sizes: int) -> np.ndarray:
         X = as_numbers("designs", X)
         if X.ndim != 2 or X.shape[1] not in sizes:
-            raise InputError(f"designs have shape {X.shape}; allowed: [lanes, {sizes[-1]}], of {', '.join(self.names)}")
+            raise InputError(
+                "designs", X, f"[lanes, {sizes[-1]}], of {', '.join(self.names)}", state=f"have shape {X.shape}"
+            )
         return X
 
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:

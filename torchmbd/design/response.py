@@ -274,10 +274,10 @@ class Measure(ConstantArguments):
         return Constraint(self, limit, "at_least")
 
     def __lt__(self, limit: Any) -> NoReturn:
-        raise InputError(f"constraint is {self} < {limit!r}; allowed: <=, >= or equals(...)")
+        raise InputError("constraint", self, "<=, >= or equals(...)", shown=f"{self} < {limit!r}")
 
     def __gt__(self, limit: Any) -> NoReturn:
-        raise InputError(f"constraint is {self} > {limit!r}; allowed: <=, >= or equals(...)")
+        raise InputError("constraint", self, "<=, >= or equals(...)", shown=f"{self} > {limit!r}")
 
     def equals(self, limit: float | str, scale: float | None = None) -> Constraint:
         """Equality constraint; `scale` divides the violation, for a limit of zero."""
@@ -385,9 +385,9 @@ class Constraint(ConstantArguments):
         if not isinstance(self.limit, str) or self.limit != "initial":
             settle(self, "limit", scalar("limit of a constraint", self.limit, "a finite number or 'initial'"))
         if self.kind not in KINDS:
-            raise InputError(f"kind of a constraint is {self.kind!r}; allowed: {', '.join(KINDS)}")
+            raise InputError("kind", self.kind, ", ".join(KINDS), noun="kind of a constraint")
         if self.scale is not None and not (is_number(self.scale) and float(self.scale) > 0.0):
-            raise InputError(f"scale of a constraint is {self.scale!r}; allowed: a positive number")
+            raise InputError("scale", self.scale, "a positive number", noun="scale of a constraint")
 
     def __bool__(self) -> bool:
         raise InputError(

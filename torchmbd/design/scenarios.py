@@ -225,7 +225,9 @@ class Scenarios(Problem):
         """Motions of one design [n], a lane for each scenario; InputError where they have several systems."""
         if len(self.groups) > 1:
             raise InputError(
-                f"scenarios have {len(self.groups)} systems; allowed: motions_by_system(x), a Trajectory for each system"
+                "scenarios",
+                allowed="motions_by_system(x), a Trajectory for each system",
+                state=f"have {len(self.groups)} systems",
             )
         return self.motions_by_system(x)[0]
 

@@ -191,7 +191,7 @@ class DesignSpace:
         """Parameters by name [lanes, ...] of design vectors [lanes, n]."""
         free = np.asarray(X, dtype=float)
         if free.ndim != 2 or free.shape[1] != len(self.names):
-            raise InputError(f"designs have shape {free.shape}; allowed: [lanes, {len(self.names)}]")
+            raise InputError("designs", free, f"[lanes, {len(self.names)}]", state=f"have shape {free.shape}")
         rows = torch.from_numpy(np.ascontiguousarray(free @ self.map.T) + self.offset)
         result, start = {}, 0
         for name, shape in self.shapes.items():

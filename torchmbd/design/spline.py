@@ -126,7 +126,10 @@ class Spline:
         rounding = 1e-9 * end
         if first < start - rounding or last > end + rounding:
             raise InputError(
-                f"window is ({first:g}, {last:g}) s; allowed: within the simulated time, {start:g} to {end:g} s"
+                "window",
+                window,
+                f"within the simulated time, {start:g} to {end:g} s",
+                state=f"is ({first:g}, {last:g}) s",
             )
         ends = self.t.detach().new_tensor([max(first, start), min(last, end)])
         t = self.t.detach()
@@ -189,7 +192,7 @@ class Spline:
         rounding = 1e-9 * end
         if float(times.min()) < start - rounding or float(times.max()) > end + rounding:
             wrong = float(times.max()) if float(times.max()) > end else float(times.min())
-            raise InputError(f"time is {wrong:g} s; allowed: within the simulated time, {start:g} to {end:g} s")
+            raise InputError("time", wrong, f"within the simulated time, {start:g} to {end:g} s", shown=f"{wrong:g} s")
         return self._at(times, rounding=rounding)
 
     def spaced(self, count: int) -> Tensor:

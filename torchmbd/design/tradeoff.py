@@ -62,7 +62,9 @@ class Tradeoff:
             raise InputError("minimize", minimize, "name -> measure, such as {'energy': Integral(...)}")
         self.criteria = list(minimize)
         if len(self.criteria) < 2:
-            raise InputError(f"minimize has {self.criteria}; allowed: two criteria at least; for one, use Problem")
+            raise InputError(
+                "minimize", minimize, "two criteria at least; for one, use Problem", state=f"has {self.criteria}"
+            )
         for name, measure in minimize.items():
             if getattr(measure, "rows", 1) > 1:
                 rule, noun = f"has {measure.rows} rows; allowed: responses of one number", f"criterion {name!r}"
@@ -73,7 +75,7 @@ class Tradeoff:
         rows = [Constraint(measure, 0.0, scale=1.0) for measure in others]
         self.problem = Problem(system, duration, first, [*rows, *constraints_of(subject_to)], **options)
         if self.problem.equalities.size:
-            raise InputError("subject_to has equalities; allowed: inequalities")
+            raise InputError("subject_to", subject_to, "inequalities", state="has equalities")
         self.names, self.start, self.period = self.problem.names, self.problem.start, self.problem.period
         self.lower, self.upper = self.problem.lower, self.problem.upper
 

@@ -64,12 +64,12 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
     if isinstance(result, MultistartResult):
         best, feasibility, others = result.best, result.feasibility, other_ends(result)
     if best is None or not best.violation <= feasibility:  # type: ignore[union-attr]
-        raise InputError(f"result has no design with a violation <= {feasibility:g}; allowed: one that has")
+        raise InputError("result", result, "one that has", state=f"has no design with a violation <= {feasibility:g}")
     problem = best.problem  # type: ignore[union-attr]
     if isinstance(problem, Processes):
         problem = problem.problem
     if not isinstance(nominal(problem), Problem):
-        raise InputError(f"problem of the result is {problem!r}; allowed: a Problem, Scenarios or RobustProblem")
+        raise InputError("problem", problem, "a Problem, Scenarios or RobustProblem", noun="problem of the result")
     return replace(
         verification(problem, best.x, best.value, others, feasibility=feasibility),  # type: ignore[union-attr]
         search=result.search_text,

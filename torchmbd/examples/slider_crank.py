@@ -78,7 +78,9 @@ def build(
         raise unknown("joint", joint, JOINTS)
     plies = [45.0 if i % 2 == 0 else -45.0 for i in range(layers)] if angles is None else list(angles)
     if len(plies) != layers:
-        raise InputError(f"angles has {len(plies)} entries; allowed: {layers}, one for each of layers={layers}")
+        raise InputError(
+            "angles", angles, f"{layers}, one for each of layers={layers}", state=f"has {len(plies)} entries"
+        )
     laminate = Laminate(Ply(**CARBON, strength=strength), deg(plies), THICKNESS / layers)
     plate = mesh.rectangle(length=ROD, width=DEPTH, cells=(cells[0], cells[1]), kind=kind)
     # The normal of the plate lies in the plane of motion, so that the 7.5 mm side bends (inferred).

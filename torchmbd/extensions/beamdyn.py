@@ -55,10 +55,12 @@ def _stations(path: str | Path) -> list[np.ndarray]:
     start = next((k for k, line in enumerate(lines) if "distributed properties" in line.lower()), None)
     allowed = "a BeamDyn blade file, with station_total and Distributed Properties"
     if start is None or not total.isdecimal() or int(total) < 2:
-        raise InputError(f"{file} has no stations, station_total {total!r}; allowed: {allowed}, two stations at least")
+        raise InputError(
+            str(file), allowed=f"{allowed}, two stations at least", state=f"has no stations, station_total {total!r}"
+        )
     rows = [(k, line.split()) for k, line in enumerate(lines[start + 1 :], start=start + 2) if line.strip()]
     if len(rows) < 13 * int(total):
-        raise InputError(f"{file} has {len(rows)} lines for {total} stations; allowed: 13 for each")
+        raise InputError(str(file), allowed="13 for each", state=f"has {len(rows)} lines for {total} stations")
     numbers: list[float] = []
     for row, (k, words) in enumerate(
         rows[: 13 * int(total)]

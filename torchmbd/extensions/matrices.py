@@ -57,7 +57,7 @@ def read_matrix(path: str | Path, name: str | None = None) -> LabeledMatrix:
         names = [name]
     if len(names) != 1:
         raise InputError(
-            f"{file.name} has the matrices {list(matrices)}, name is {name!r}; allowed: the name of one of them"
+            file.name, allowed="the name of one of them", state=f"has the matrices {list(matrices)}, name is {name!r}"
         )
     chosen = matrices[names[0]]
     if isinstance(chosen, InputError):
@@ -155,7 +155,9 @@ def _abaqus(file: Path) -> LabeledMatrix:
                     "or row, column, value"
                 )
     if bool(labelled) == bool(plain):
-        raise InputError(f"{file.name} has {'two kinds of lines' if plain else 'no entries'}; allowed: one kind")
+        raise InputError(
+            file.name, allowed="one kind", state=f"has {('two kinds of lines' if plain else 'no entries')}"
+        )
     if labelled:
         return _assembled(file.name, labelled)
     size = max(max(i, j) for i, j, _ in plain)
@@ -183,7 +185,9 @@ def _op4(file: Path) -> Iterator[tuple[str, LabeledMatrix | InputError]]:
             name, style = head[32:40].strip(), _FORMAT.search(head[40:])
             try:
                 if kind not in (1, 2):
-                    raise InputError(f"{where}: {name} has type {kind}; allowed: 1 or 2, real")
+                    raise InputError(
+                        (str(where), name), allowed="1 or 2, real", noun=f"{where}: {name}", state=f"has type {kind}"
+                    )
                 _square(where, abs(rows), columns)
             except InputError as error:
                 _skip_columns(lines, columns)
@@ -265,5 +269,5 @@ def _dmig(file: Path) -> dict[str, LabeledMatrix | InputError]:
                 entries[name].append((row, column, card.real(start + 2, "A")))
     matrices = refused | {name: _assembled(file.name, terms) for name, terms in entries.items() if terms}
     if not matrices:
-        raise InputError(f"{file.name} has no DMIG matrix; allowed: one at least")
+        raise InputError(file.name, allowed="one at least", state="has no DMIG matrix")
     return matrices

@@ -69,7 +69,7 @@ def openmdao_component(
         raise InputError("responses", responses, "name -> measure, one at least")
     for name, measure in responses.items():
         if not isinstance(measure, Measure):
-            raise InputError(f"response {name!r} is {measure!r}; allowed: a measure, such as mbd.Max(...)")
+            raise InputError(name, measure, "a measure, such as mbd.Max(...)", noun=f"response {name!r}")
     parameters = dict(system.named_parameters())
     for name in variables or ():
         if name not in parameters:

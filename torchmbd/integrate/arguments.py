@@ -79,8 +79,10 @@ def duration_is_differentiated(duration: Any, gradients: str, integrator: Integr
     if not integrator.adjoint or gradients in ("forward", "none"):
         methods = " or ".join(repr(name) for name, entry in INTEGRATORS.items() if entry.adjoint)
         raise InputError(
-            f"duration is being differentiated, but {obstacle}; allowed: method {methods} with "
-            "gradients='auto' or 'reverse', which have both modes, or duration.detach()"
+            "duration",
+            duration,
+            f"method {methods} with gradients='auto' or 'reverse', which have both modes, or duration.detach()",
+            state=f"is being differentiated, but {obstacle}",
         )
     if duration.dtype != torch.float64:
         raise InputError("duration", duration, "torch.float64", shown=str(duration.dtype))
@@ -95,8 +97,10 @@ def check_phase_times(phases: Any, gradients: str, integrator: Integrator) -> No
         if isinstance(phase, Phase) and phase.time is not None:
             key, x = ("until", phase.until) if phase.lasting is None else ("lasting", phase.lasting)
             raise InputError(
-                f"{key} of phase {phase.name or number!r} is being differentiated, {x!r}, which tangents do not carry; "
-                f"allowed: gradients='reverse' or 'auto' of a one-step method, which have both modes, or {key}.detach()"
+                (str(phase.name or number), key),
+                allowed=f"gradients='reverse' or 'auto' of a one-step method, which have both modes, or {key}.detach()",
+                noun=f"{key} of phase {phase.name or number!r}",
+                state=f"is being differentiated, {x!r}, which tangents do not carry",
             )
 
 
@@ -133,8 +137,11 @@ def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
     """InputError where the start is differentiated, but the gradients of the motion do not reach it."""
     if start.is_differentiated and (gradients == "forward" or (gradients != "none" and not integrator.adjoint)):
         raise InputError(
-            "start is being differentiated, which tangents do not carry; allowed: gradients='reverse' or 'auto' of a one-step "
-            "method, or Parameters given to the bodies (bent, moving, position)"
+            "start",
+            start,
+            "gradients='reverse' or 'auto' of a one-step method, or Parameters given to the bodies (bent, "
+            "moving, position)",
+            state="is being differentiated, which tangents do not carry",
         )
 
 
@@ -142,7 +149,9 @@ def check_dtypes(system: System) -> None:
     """InputError names the first parameter of a system that has other numbers than float64."""
     for name, x in system.named_parameters():
         if x.dtype != torch.float64:
-            raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, the type of the system")
+            raise InputError(
+                name, x.dtype, "torch.float64, the type of the system", noun=f"parameter {name!r}", shown=f"{x.dtype}"
+            )
 
 
 def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
@@ -155,7 +164,7 @@ def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
         if name in (designs or {}):
             continue
         if not all_true(torch.isfinite(x)):
-            raise InputError(f"parameter {name!r} is {x.tolist()}; allowed: finite numbers")
+            raise InputError(name, x.tolist(), "finite numbers", noun=f"parameter {name!r}", shown=f"{x.tolist()}")
         check_parameter("parameter", name, untransformed(x))
     result = {}
     for name, design in (designs or {}).items():

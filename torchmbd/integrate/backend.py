@@ -109,7 +109,7 @@ def with_backend(dynamics: Dynamics, backend: str, work: Sequence[str] = ("step"
         if why is None:
             return replace(dynamics, backend=name)
         if backend != "auto":
-            raise InputError(f"backend is {name!r}, but {why}; allowed: 'eager' or 'auto'")
+            raise InputError("backend", name, "'eager' or 'auto'", shown=f"{name!r}, but {why}")
         if why not in _warned:
             _warned.add(why)
             warn(f"steps are made by operators of torch (backend 'eager'): {why}")

@@ -296,7 +296,9 @@ def equilibrium(
     rotation = SteadyRotation.of(spin, center, observer)
     initial = start_of(system, start)
     if initial.in_equilibrium:
-        raise InputError("start is 'equilibrium', which is looked for; allowed: 'assembled', a motion or numbers")
+        raise InputError(
+            "start", start, "'assembled', a motion or numbers", state="is 'equilibrium', which is looked for"
+        )
     system = system.starting(replace(initial, is_guess=True))
     design_values = checked_designs(system, designs)
     with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):

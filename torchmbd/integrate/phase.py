@@ -76,22 +76,31 @@ class Phase:
             if x is not None and not isinstance(x, Event) and not _positive(x):
                 allowed = "a positive time, or an Event" if key == "until" else "a positive time"
                 raise InputError(
-                    f"{key} of a phase is {x!r} s; allowed: {allowed}, also as a float64 tensor [] that is not a Parameter"
+                    key,
+                    x,
+                    f"{allowed}, also as a float64 tensor [] that is not a Parameter",
+                    noun=f"{key} of a phase",
+                    shown=f"{x!r} s",
                 )
         for key in ("lock", "release"):
             x = getattr(self, key)
             if isinstance(x, str) or not isinstance(x, Sequence) or not all(isinstance(j, (str, Joint)) for j in x):
-                raise InputError(f"{key} of a phase is {x!r}; allowed: a list of joints or of their names")
+                raise InputError(key, x, "a list of joints or of their names", noun=f"{key} of a phase")
         if not isinstance(self.laws, Mapping):
-            raise InputError(f"laws of a phase is {self.laws!r}; allowed: names of force elements -> laws")
+            raise InputError("laws", self.laws, "names of force elements -> laws", noun="laws of a phase")
         if self.name is not None and not isinstance(self.name, str):
-            raise InputError(f"name of a phase is {self.name!r}; allowed: a string")
+            raise InputError("name", self.name, "a string", noun="name of a phase")
         if self.impact is not None and not isinstance(self.until, Event):
-            raise InputError(f"impact of a phase is given, but until={self.until!r}; allowed: an Event, its gap")
+            raise InputError(
+                "impact",
+                allowed="an Event, its gap",
+                noun="impact of a phase",
+                state=f"is given, but until={self.until!r}",
+            )
         refuse_lost_gradients("impact of a phase", self.impact, "constant tensors")
         number = is_real(self.impact) and 0.0 <= float(self.impact) <= 1.0  # pyright: ignore[reportArgumentType]
         if self.impact is not None and not callable(self.impact) and not number:
-            raise InputError(f"impact of a phase is {self.impact!r}; allowed: from 0 to 1, or a map of the velocities")
+            raise InputError("impact", self.impact, "from 0 to 1, or a map of the velocities", noun="impact of a phase")
 
     @property
     def end_time(self) -> float | None:

@@ -131,7 +131,9 @@ class Repetition:
         """The motion of designs by the simulation with other arguments, values only."""
         for name, x in self.simulation.system.named_parameters():
             if not torch.equal(x.detach(), self.parameters[name]):
-                raise InputError(f"parameter {name!r} has changed since the motion; allowed: simulate again")
+                raise InputError(
+                    name, allowed="simulate again", noun=f"parameter {name!r}", state="has changed since the motion"
+                )
         phases = self.simulation.phases
         if phases is not None:  # times without gradients, and joints of any copy of the system
             phases = [_plain(phase) for phase in phases]
@@ -169,7 +171,10 @@ def _with_other_modes(
                 numbers[label] = _in_more_modes(motion.modes(name), w, shapes.values(name))
     if start == "equilibrium" and numbers:
         raise InputError(
-            f"start is 'equilibrium', and bodies have {', '.join(map(repr, numbers))}; allowed: modal coordinates of zero"
+            "start",
+            start,
+            "modal coordinates of zero",
+            state=f"is 'equilibrium', and bodies have {', '.join(map(repr, numbers))}",
         )
     return start if isinstance(start, str) and not numbers else numbers, designs
 

@@ -40,8 +40,10 @@ def refuse_other_designs(names: Sequence[str], designs: Mapping[str, Tensor]) ->
     for name, x in designs.items():
         if name not in names and is_differentiated(x):
             raise InputError(
-                f"design {name!r} is being differentiated, but variables is {list(names)}; allowed: variables with it, "
-                "or its x.detach()"
+                name,
+                allowed="variables with it, or its x.detach()",
+                noun=f"design {name!r}",
+                state=f"is being differentiated, but variables is {list(names)}",
             )
 
 
@@ -61,5 +63,5 @@ def lanes_of_batch(
     lanes = max([*counts.values(), start_lanes])
     if not {1, lanes}.issuperset([*counts.values(), start_lanes]):
         start = f" and start {start_lanes}" if start_lanes > 1 else ""
-        raise InputError(f"designs have lanes {counts}{start}; allowed: the same number for all, or one")
+        raise InputError("designs", designs, "the same number for all, or one", state=f"have lanes {counts}{start}")
     return {name: x.clone().expand(lanes, *x.shape[1:]) for name, x in batch.items()}

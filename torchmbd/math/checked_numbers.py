@@ -31,7 +31,7 @@ def differentiable_reals(name: str, value: Any, allowed: str) -> Tensor:
     try:
         return _joined(value)
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(f"{name} is {value!r}; allowed: {allowed}") from error
+        raise InputError(name, value, f"{allowed}") from error
 
 
 def _joined(value: Any) -> Tensor:
@@ -48,7 +48,7 @@ def scalar(name: str, value: Any, allowed: str = "a finite number", unit: str = 
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor of several numbers
         x = math.nan
     if not math.isfinite(x):
-        raise InputError(f"{name} is {value!r}{unit}; allowed: {allowed}")
+        raise InputError(name, value, f"{allowed}", shown=f"{value!r}{unit}")
     return x
 
 
@@ -67,7 +67,7 @@ def positive(name: str, value: Any, unit: str) -> float:
     allowed = "a positive and finite number"
     x = scalar(name, value, allowed, f" {unit}")
     if not x > 0.0:
-        raise InputError(f"{name} is {value!r} {unit}; allowed: {allowed}")
+        raise InputError(name, value, f"{allowed}", shown=f"{value!r} {unit}")
     return x
 
 
@@ -76,7 +76,7 @@ def nonnegative(name: str, value: Any, unit: str) -> float:
     allowed = "zero, or a positive and finite number"
     x = scalar(name, value, allowed, f" {unit}")
     if x < 0.0:
-        raise InputError(f"{name} is {value!r} {unit}; allowed: {allowed}")
+        raise InputError(name, value, f"{allowed}", shown=f"{value!r} {unit}")
     return x
 
 
@@ -85,17 +85,17 @@ def indices(name: str, value: ArrayLike | Tensor) -> Tensor:
     x = _read(name, value, "whole numbers")
     broken = (x != x.round()).flatten() if x.is_floating_point() else torch.zeros(0, dtype=torch.bool)
     if broken.any():
-        raise InputError(f"{name} holds {float(x.flatten()[broken][0])!r}; allowed: whole numbers")
+        raise InputError(name, allowed="whole numbers", state=f"holds {float(x.flatten()[broken][0])!r}")
     return x.long()
 
 
 def list_of(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
     """Read a sequence of objects of some classes as a list; InputError names the argument and an object of another class."""
     if not isinstance(value, Sequence) or isinstance(value, str):
-        raise InputError(f"{name} is {value!r}; allowed: a list of {allowed}")
+        raise InputError(name, value, f"a list of {allowed}")
     for x in value:
         if not isinstance(x, kinds):
-            raise InputError(f"{name} has {x!r}; allowed: {allowed}")
+            raise InputError(name, allowed=f"{allowed}", state=f"has {x!r}")
     return list(value)
 
 
@@ -107,7 +107,7 @@ def parameter(name: str, value: ArrayLike | Tensor) -> nn.Parameter:
         )
         return nn.Parameter(reals(name, value))
     if value.dtype != torch.float64:
-        raise InputError(f"{name} is a Parameter of {value.dtype}; allowed: torch.float64")
+        raise InputError(name, allowed="torch.float64", state=f"is a Parameter of {value.dtype}")
     return value
 
 
@@ -116,7 +116,7 @@ def _read(name: str, value: ArrayLike | Tensor, allowed: str) -> Tensor:
     try:
         x = (value.detach() if isinstance(value, Tensor) else torch.from_numpy(np.array(value))).clone()
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is {value!r}; allowed: {allowed}") from error
+        raise InputError(name, value, f"{allowed}") from error
     if x.is_complex():
-        raise InputError(f"{name} is {value!r}; allowed: {allowed}, real ones")
+        raise InputError(name, value, f"{allowed}, real ones")
     return x

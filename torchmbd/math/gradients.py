@@ -94,7 +94,7 @@ def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
     """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
     if is_differentiated(x):
         raise InputError(
-            f"{name} is being differentiated, which would be lost here; allowed: x.detach(), and {instead}"
+            name, allowed=f"x.detach(), and {instead}", state="is being differentiated, which would be lost here"
         )
 
 
@@ -151,8 +151,9 @@ def refuse_lost_gradients(name: str, law: Any, allowed: str, registered: nn.Modu
         if isinstance(x, Tensor):
             if carries_gradient(x) and id(x) not in known:
                 raise InputError(
-                    f"{name} has design variables ({path.strip() or 'itself'}), which would not be differentiated; "
-                    f"allowed: {allowed}, such as x.detach() where x stays what it is"
+                    name,
+                    allowed=f"{allowed}, such as x.detach() where x stays what it is",
+                    state=f"has design variables ({path.strip() or 'itself'}), which would not be differentiated",
                 )
         elif id(x) not in seen and not isinstance(x, _CLOSED):
             seen.add(id(x))

@@ -96,5 +96,5 @@ def meters(name: str, unit: float | str) -> float:
 
     x = scalar(name, unit, f"meters per unit, > 0, or one of {', '.join(lengths)}")
     if not x > 0.0:
-        raise InputError(f"{name} is {unit!r}; allowed: meters per unit, > 0, or one of {', '.join(lengths)}")
+        raise InputError(name, unit, f"meters per unit, > 0, or one of {', '.join(lengths)}")
     return x

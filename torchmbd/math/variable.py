@@ -76,7 +76,11 @@ def check_positive(numbers: Any, unit: str = "", infinite: bool = False) -> None
         if not (is_real(value) and value > 0.0 and (infinite or math.isfinite(value))):
             allowed = "a number > 0" if infinite else "a finite number > 0"
             raise InputError(
-                f"{type(numbers).__name__}: {name} = {value!r}{unit}; allowed: {allowed}, or mbd.variable(...) of one"
+                (str(type(numbers).__name__), name),
+                value,
+                f"{allowed}, or mbd.variable(...) of one",
+                noun=f"{type(numbers).__name__}: {name}",
+                state=f"= {value!r}{unit}",
             )
 
 

@@ -396,7 +396,10 @@ def require_problem(problem: Any) -> None:
     missing = [name for name in ("names", "start", "lower", "upper", "evaluate") if not hasattr(problem, name)]
     if missing:
         raise InputError(
-            f"problem is {problem!r}, without {', '.join(missing)}; allowed: a problem, such as mbd.Problem(...)"
+            "problem",
+            problem,
+            "a problem, such as mbd.Problem(...)",
+            shown=f"{problem!r}, without {', '.join(missing)}",
         )
 
 

@@ -110,7 +110,7 @@ class PlyHistory:
         layers = int(self.points[:, 1].max()) + 1
         for name, x, count in (("component", component, len(PLY_COMPONENTS)), ("layer", layer or 0, layers)):
             if x not in range(count):
-                raise InputError(f"{name} is {x!r}; allowed: 0 to {count - 1}")
+                raise InputError(name, x, f"0 to {count - 1}")
         basis = sign * self.basis.stress[:, :, component]
         if layer is not None:
             basis = basis[:, self.points[:, 1] == layer]

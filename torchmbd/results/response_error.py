@@ -158,8 +158,10 @@ def _by_steps(motion: Any, response: Any, value: Tensor, size: Tensor, enough: T
     order, finer = motion.repetition.order, _numbers(response, half)
     if finer.shape != value.shape:
         raise InputError(
-            f"response {response!r} has numbers {list(value.shape)}, with finer steps {list(finer.shape)}; "
-            "allowed: numbers that do not change with the steps, such as mbd.Max(...) of a history"
+            str(response),
+            allowed="numbers that do not change with the steps, such as mbd.Max(...) of a history",
+            noun=f"response {response!r}",
+            state=f"has numbers {list(value.shape)}, with finer steps {list(finer.shape)}",
         )
     by_half = _remainder(motion, half, order)
     first, rounding = finer - value, _ROUNDING * value.abs().maximum(finer.abs())

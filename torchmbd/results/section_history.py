@@ -144,7 +144,9 @@ class SectionHistory:
 
     def _key(self, part: str | None) -> str:
         if part is None and len(self._beams) > 1:
-            raise InputError(f"part of {self.name!r} is None; allowed: {', '.join(self._beams)}")
+            raise InputError(
+                (self.name, "part"), part, ", ".join(self._beams), noun=f"part of {self.name!r}", state="is None"
+            )
         key = self.parts[0] if part is None else part
         if key not in self._beams:
             raise unknown(f"part of {self.name!r}", key, self._beams)
@@ -154,7 +156,10 @@ class SectionHistory:
         section = self._beams[key].section
         if not isinstance(section, Section):
             raise InputError(
-                f"{key} of {self.name!r} is a {type(section).__name__}, which has no stresses; allowed: Section"
+                (self.name, key),
+                allowed="Section",
+                noun=f"{key} of {self.name!r}",
+                state=f"is a {type(section).__name__}, which has no stresses",
             )
         return section
 

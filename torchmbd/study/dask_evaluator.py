@@ -34,7 +34,7 @@ def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, s
     scheduler  address of a scheduler, or a cluster file (.yaml); None: processes of this machine
     """
     if workers < 0:
-        raise InputError(f"workers = {workers}: must be 0 (one for each core) or more")
+        raise InputError("workers", workers, rule="must be 0 (one for each core) or more", shown=f"{workers}")
     make, arguments = unpickle_problem, ()
     if study.origin is None:
         arguments = pickle_problem(study.simulated)

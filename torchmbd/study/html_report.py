@@ -73,7 +73,10 @@ def write_report(run: str, path: Path | None = None, uri: str | StoreURI | None 
         raise InputError(f"output = {str(path)!r}: allowed: a name that ends in .html")
     if not path.parent.is_dir():
         raise InputError(
-            f"output = {str(path)!r}: there is no folder {str(path.parent)!r}; allowed: a file in one that exists"
+            "output",
+            str(path),
+            "a file in one that exists",
+            state=f"= {str(path)!r}: there is no folder {str(path.parent)!r}",
         )
     with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
         path.write_text(_page(store, entry, Path(scratch)), encoding="utf-8")

@@ -127,7 +127,12 @@ def _model_folder(config: Document, named: list[str | Path]) -> Path:
             )
         folders.add(matching[0].parents[len(parts) - 1])
     if len(folders) > 1:
-        raise InputError(f"model is {[str(name) for name in named]}; allowed: files below one folder, as in the study")
+        raise InputError(
+            "model",
+            [str(name) for name in named],
+            "files below one folder, as in the study",
+            shown=f"{[str(name) for name in named]}",
+        )
     return folders.pop() if folders else Path()
 
 

@@ -51,15 +51,22 @@ def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
     chosen = checked_uri(uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}", name)
     if chosen.masked:
         raise InputError(
-            f"{name} = {chosen!r}: {MASK} hides a part of the URI; allowed: the whole URI. Try: MLFLOW_TRACKING_URI"
+            name,
+            chosen,
+            "the whole URI",
+            hint="MLFLOW_TRACKING_URI",
+            state=f"= {chosen!r}: {MASK} hides a part of the URI",
         )
     if chosen.file is None:
         return chosen
     paths = [text for text in (str(chosen.file), str(Path.cwd())) if utf8(text) != text]
     if paths and not chosen.file.exists():  # MLflow writes both into a new store
         raise InputError(
-            f"{name} = {utf8(str(chosen))!r}: the name {utf8(paths[0])!r} is not of this locale, whose names are in "
-            f"{sys.getfilesystemencoding()}; allowed: PYTHONUTF8=1, or a locale of UTF-8"
+            name,
+            utf8(str(chosen)),
+            "PYTHONUTF8=1, or a locale of UTF-8",
+            state=f"= {utf8(str(chosen))!r}: the name {utf8(paths[0])!r} is not of this locale, whose names "
+            f"are in {sys.getfilesystemencoding()}",
         )
     return StoreURI(f"sqlite:///{chosen.file}")
 
@@ -67,7 +74,7 @@ def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
 def checked_uri(uri: str | StoreURI, name: str = "uri") -> StoreURI:
     """Return the URI of a store as it is; InputError, which names the argument `name`, if it is none."""
     if not isinstance(uri, (str, StoreURI)):
-        raise InputError(f"{name} is {uri!r}; allowed: a store such as sqlite:///mlflow.db")
+        raise InputError(name, uri, "a store such as sqlite:///mlflow.db")
     checked = StoreURI(uri)
     if fault := uri_fault(checked):
         raise InputError(f"{name} = {checked!r}: {fault}")

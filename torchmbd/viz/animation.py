@@ -109,7 +109,9 @@ def lane_labels(motion: Any, labels: Sequence[str] | None) -> list[str]:
     if labels is None:
         return [f"design {k + 1}" for k in range(motion.lanes)]
     if isinstance(labels, str) or len(labels) != motion.lanes:
-        raise InputError(f"labels are {labels!r}; allowed: {motion.lanes}, one for each design of the motion, or None")
+        raise InputError(
+            "labels", labels, f"{motion.lanes}, one for each design of the motion, or None", state=f"are {labels!r}"
+        )
     return list(labels)
 
 

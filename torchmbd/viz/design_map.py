@@ -51,7 +51,10 @@ def design_map(
     sizes = {np.asarray(path).shape[1:] for path in paths.values()}
     if len(sizes) != 1 or (len(headings),) not in sizes:
         raise InputError(
-            f"paths have designs of shape {sizes or 'none'}; allowed: ({len(headings)},), a variable for each heading"
+            "paths",
+            paths,
+            f"({len(headings)},), a variable for each heading",
+            state=f"have designs of shape {sizes or 'none'}",
         )
     flat = len(headings) > 2
     if flat:

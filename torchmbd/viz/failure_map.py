@@ -58,7 +58,9 @@ def failure_map(
         return titled(_on_mesh(owner, indices, labels, criterion), title)
     if laminated(owner):
         return titled(_along_beams(motion, body, labels, criterion), title)
-    raise InputError(f"body {body!r} has no plies; allowed: a plate or a beam of laminated sections")
+    raise InputError(
+        str(body), allowed="a plate or a beam of laminated sections", noun=f"body {body!r}", state="has no plies"
+    )
 
 
 def _of_plates(motion: Trajectory, body: str, criterion: str) -> list[tuple[np.ndarray, str]]:

@@ -47,7 +47,9 @@ def film(
     if path.suffix not in _WRITERS:
         raise InputError(f"path = {str(path)!r}: allowed: a name that ends in {' or '.join(_WRITERS)}")
     if not writers.is_available(_WRITERS[path.suffix]):
-        raise InputError(f"path = {str(path)!r}: needs {_WRITERS[path.suffix]}, which is not installed; allowed: .gif")
+        raise InputError(
+            "path", str(path), ".gif", state=f"= {str(path)!r}: needs {_WRITERS[path.suffix]}, which is not installed"
+        )
     require_motion(motion)
     require_lane(motion, lane)
     count = round(seconds * frames_per_second)
@@ -58,7 +60,7 @@ def film(
     scene = scene_of(motion, lane, frames)
     axis = view or scene["view"]
     if axis not in _ACROSS:
-        raise InputError(f"view = {view!r}; allowed: {', '.join(_ACROSS)}")
+        raise InputError("view", view, ", ".join(_ACROSS), state=f"= {view!r}")
     shown = scene["scale"] if scale is None else float(scale)
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     drawing = _Drawing(figure, scene, shown, list(_ACROSS[axis]))

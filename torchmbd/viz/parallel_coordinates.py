@@ -49,8 +49,10 @@ def parallel_coordinates(
     X, y = np.asarray(designs, dtype=float), np.asarray(objectives, dtype=float)
     if X.ndim != 2 or not len(X) or X.shape != (len(y), len(headings)):
         raise InputError(
-            f"designs have shape {X.shape}; allowed: ({len(y)}, {len(headings)}), a row for each objective, a column for each "
-            "heading"
+            "designs",
+            X,
+            f"({len(y)}, {len(headings)}), a row for each objective, a column for each heading",
+            state=f"have shape {X.shape}",
         )
     good = np.ones(len(X), dtype=bool) if feasible is None else np.asarray(feasible, dtype=bool)
     all_ = np.column_stack([X, y])

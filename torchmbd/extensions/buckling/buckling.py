@@ -92,7 +92,11 @@ class BucklingCase:
         self._has_imposed = bool(self._imposed.any())
         if not self.loads.any and not self._has_imposed:
             raise InputError(
-                f"loads of {body.name!r} are zero; allowed: at least one force, or an imposed displacement"
+                (body.name, "loads"),
+                loads,
+                "at least one force, or an imposed displacement",
+                noun=f"loads of {body.name!r}",
+                state="are zero",
             )
         self._static = StaticLoads(supported.pattern)
 

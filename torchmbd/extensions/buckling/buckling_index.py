@@ -78,7 +78,10 @@ class BucklingIndex(History):
     def _series(self, system: System) -> BucklingSeries:
         if isinstance(system.body(self.body), FlexibleBeam):
             raise InputError(
-                f"body {self.body!r} is a flexible beam, which buckles in its motion; allowed: a FlexibleBody of elements"
+                str(self.body),
+                allowed="a FlexibleBody of elements",
+                noun=f"body {self.body!r}",
+                state="is a flexible beam, which buckles in its motion",
             )
         body = flexible_body(system, self.body)
         series, key = _SERIES.setdefault(body, {}), digest(self.supports)

@@ -44,7 +44,7 @@ _CHUNK = 500_000  # stresses in memory for the upper bounds at once
 
 def _positive(name: str, x: Any) -> None:
     if scalar(name, x, "a positive number") <= 0.0:
-        raise InputError(f"{name} is {x!r}; allowed: a positive number")
+        raise InputError(name, x, "a positive number")
 
 
 COUNT_NOTE = (
@@ -163,7 +163,10 @@ class FatigueDamage(Measure):
                 _positive(f"exponent {component}", x)
             elif not isinstance(x, SNCurve):
                 raise InputError(
-                    f"curve of component {component!r} is {x!r}; allowed: SNCurve([(cycles, amplitude), ...])"
+                    (str(component), "curve"),
+                    x,
+                    "SNCurve([(cycles, amplitude), ...])",
+                    noun=f"curve of component {component!r}",
                 )
 
     def check(self, system: System) -> None:

@@ -61,18 +61,31 @@ class SNCurve:
             raise InputError("points", self.points, "two pairs (cycles, amplitude [Pa]) at least")
         for k, (n, a) in enumerate(points):
             if not (0.0 < n < math.inf and 0.0 < a < math.inf):
-                raise InputError(f"points[{k}] is {(n, a)}; allowed: positive cycles and a positive amplitude [Pa]")
+                raise InputError(
+                    ("points", k),
+                    (n, a),
+                    "positive cycles and a positive amplitude [Pa]",
+                    noun=f"points[{k}]",
+                    shown=f"{(n, a)}",
+                )
             if k and not (n > points[k - 1][0] and a < points[k - 1][1]):
                 raise InputError(
-                    f"points[{k}] is {(n, a)} after {points[k - 1]}; allowed: more cycles, and a smaller amplitude"
+                    ("points", k),
+                    (n, a),
+                    "more cycles, and a smaller amplitude",
+                    noun=f"points[{k}]",
+                    shown=f"{(n, a)} after {points[k - 1]}",
                 )
         for name in ("tension", "compression"):
             x = getattr(self, name)
             if x is not None and scalar(name, x, "a positive number [Pa], or None") <= 0.0:
-                raise InputError(f"{name} is {x!r}; allowed: a positive number [Pa], or None")
+                raise InputError(name, x, "a positive number [Pa], or None")
         if self.tension is None and self.compression is not None:
             raise InputError(
-                f"compression is {self.compression!r} without tension; allowed: both, tension alone, or none"
+                "compression",
+                self.compression,
+                "both, tension alone, or none",
+                state=f"is {self.compression!r} without tension",
             )
 
     def cycles(self, amplitude: Tensor, mean: Tensor) -> Tensor:

@@ -71,7 +71,7 @@ class FiberField:
         cells: Sequence[int] | Tensor | None = None,
     ) -> None:
         if not isinstance(mesh, Mesh) or not mesh.cell_count:
-            raise InputError(f"mesh of a FiberField is {mesh!r}; allowed: a Mesh with cells")
+            raise InputError("mesh", mesh, "a Mesh with cells", noun="mesh of a FiberField")
         self.mesh, self.cells = mesh, _cells(mesh, cells)
         places = _middles(mesh)[self.cells]
         if radius is None:
@@ -83,7 +83,9 @@ class FiberField:
             slopes[:, along] = in_plane
         else:
             if axes is not None:
-                raise InputError(f"axes is {axes!r} of a FiberField with a radius; allowed: None, it has no axes")
+                raise InputError(
+                    "axes", axes, "None, it has no axes", state=f"is {axes!r} of a FiberField with a radius"
+                )
             W, slopes = _radial(places, _points(controls, places), _radius(radius))
         self.controls = W.shape[1]
         used = (W != 0.0) | (slopes != 0.0).any(1)
@@ -120,9 +122,9 @@ def _cells(mesh: Mesh, cells: Sequence[int] | Tensor | None) -> Tensor:
         return torch.arange(mesh.cell_count)
     numbers = indices("cells of a FiberField", cells)
     if numbers.ndim != 1 or not len(numbers) or int(numbers.min()) < 0 or int(numbers.max()) >= mesh.cell_count:
-        raise InputError(f"cells of a FiberField is {cells!r}; allowed: numbers of cells, 0 to {mesh.cell_count - 1}")
+        raise InputError("cells", cells, f"numbers of cells, 0 to {mesh.cell_count - 1}", noun="cells of a FiberField")
     if len(numbers.unique()) < len(numbers):
-        raise InputError("cells of a FiberField has a number twice; allowed: each once")
+        raise InputError("cells", cells, "each once", noun="cells of a FiberField", state="has a number twice")
     return numbers
 
 
@@ -139,23 +141,29 @@ def _counts(controls: object) -> tuple[int, int]:
     ):
         return int(controls[0]), int(controls[1])
     raise InputError(
-        f"controls of a FiberField is {controls!r}; allowed: two whole numbers >= 1, or with a radius places [k, 3] or 'cells'"
+        "controls",
+        controls,
+        "two whole numbers >= 1, or with a radius places [k, 3] or 'cells'",
+        noun="controls of a FiberField",
     )
 
 
 def _degree(degree: int, counts: tuple[int, int]) -> int:
     if not (is_whole(degree) and 0 <= degree <= 5):
-        raise InputError(f"degree of a FiberField is {degree!r}; allowed: 0 to 5")
+        raise InputError("degree", degree, "0 to 5", noun="degree of a FiberField")
     if any(1 < n <= degree for n in counts):
         raise InputError(
-            f"controls of a FiberField is {counts!r}; allowed: 1, or at least {degree + 1} along an axis for degree {degree}"
+            "controls",
+            counts,
+            f"1, or at least {degree + 1} along an axis for degree {degree}",
+            noun="controls of a FiberField",
         )
     return int(degree)
 
 
 def _radius(radius: float) -> float:
     if not (is_real(radius) and 0.0 < radius < float("inf")):
-        raise InputError(f"radius of a FiberField is {radius!r} m; allowed: a finite number > 0")
+        raise InputError("radius", radius, "a finite number > 0", noun="radius of a FiberField", shown=f"{radius!r} m")
     return float(radius)
 
 
@@ -164,14 +172,14 @@ def _axes(places: Tensor, axes: str | None) -> list[int]:
         extent = places.amax(0) - places.amin(0)
         return sorted(extent.argsort(descending=True, stable=True)[:2].tolist())
     if not isinstance(axes, str) or len(axes) != 2 or axes[0] == axes[1] or not set(axes) <= set(AXES):
-        raise InputError(f"axes of a FiberField is {axes!r}; allowed: two of x, y, z, such as 'xy'")
+        raise InputError("axes", axes, "two of x, y, z, such as 'xy'", noun="axes of a FiberField")
     return [AXES.index(x) for x in axes]
 
 
 def _points(controls: object, places: Tensor) -> Tensor:
     if isinstance(controls, str):
         if controls != "cells":
-            raise InputError(f"controls of a FiberField is {controls!r}; allowed: 'cells', or places [k, 3]")
+            raise InputError("controls", controls, "'cells', or places [k, 3]", noun="controls of a FiberField")
         return places
     points = reals("controls of a FiberField", controls)  # pyright: ignore[reportArgumentType]
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not points.isfinite().all():
@@ -212,8 +220,12 @@ def _radial(places: Tensor, points: Tensor, radius: float) -> tuple[Tensor, Tens
     no_control = (total[:, 0] == 0.0).nonzero().flatten()
     if len(no_control):
         raise InputError(
-            f"radius of a FiberField is {radius!r} m: cell {int(no_control[0])} and {len(no_control) - 1} others "
-            "have no control so near; allowed: a larger radius, or more controls"
+            "radius",
+            radius,
+            "a larger radius, or more controls",
+            noun="radius of a FiberField",
+            state=f"is {radius!r} m: cell {int(no_control[0])} and {len(no_control) - 1} others have no "
+            "control so near",
         )
     W = phi / total
     return W, (slope.mT - W[:, None] * slope.sum(1)[..., None]) / total[:, None]

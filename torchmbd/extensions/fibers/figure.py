@@ -44,7 +44,10 @@ def fiber_paths(body: Any, density: float = 1.0) -> Figure:
     axes[matrices.zones] = matrices.axes
     if float((axes - axes[0]).abs().max()) > _FLAT:
         raise InputError(
-            f"body {body.name!r} is not flat; allowed: a flat plate (viz.save_mesh writes fibers of any shell)"
+            body.name,
+            allowed="a flat plate (viz.save_mesh writes fibers of any shell)",
+            noun=f"body {body.name!r}",
+            state="is not flat",
         )
     with torch.no_grad():
         theta = laminate.field.values(laminate.angles)

@@ -76,10 +76,14 @@ class SteeredLaminate(Laminate):
         shear_correction: float | str = "energy",
     ) -> None:
         if not isinstance(field, FiberField):
-            raise InputError(f"field of a SteeredLaminate is {field!r}; allowed: a FiberField")
+            raise InputError("field", field, "a FiberField", noun="field of a SteeredLaminate")
         if isinstance(angles, nn.Parameter) and angles.ndim != 2:
             raise InputError(
-                "angles of a SteeredLaminate is a Parameter without an axis of controls; allowed: [controls, layers]"
+                "angles",
+                angles,
+                "[controls, layers]",
+                noun="angles of a SteeredLaminate",
+                state="is a Parameter without an axis of controls",
             )
         theta, t = (
             parameter("angles of a SteeredLaminate", angles),
@@ -94,10 +98,18 @@ class SteeredLaminate(Laminate):
             shear_correction,
         )
         if self._plies.vary:
-            raise InputError("ply of a SteeredLaminate has numbers that vary; allowed: plies of numbers")
+            raise InputError(
+                "ply", ply, "plies of numbers", noun="ply of a SteeredLaminate", state="has numbers that vary"
+            )
         check_angles("angles", theta.flatten().tolist(), "SteeredLaminate: ")
         if varies and not bool((t > 0.0).all() and t.isfinite().all()):
-            raise InputError(f"SteeredLaminate: thickness is from {float(t.min()):g} m; allowed: finite numbers > 0")
+            raise InputError(
+                "thickness",
+                thickness,
+                "finite numbers > 0",
+                noun="SteeredLaminate: thickness",
+                state=f"is from {float(t.min()):g} m",
+            )
         self.field, self._thickness_varies = field, varies
         self.angles = theta if theta.ndim == 2 else nn.Parameter(theta.detach().expand(field.controls, -1).clone())
         if varies:

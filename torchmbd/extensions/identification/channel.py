@@ -54,14 +54,17 @@ class Channel:
     def __post_init__(self) -> None:
         if not isinstance(self.response, History):
             raise InputError(
-                f"response of Channel is {self.response!r}; allowed: a history, such as mbd.Position('tip', 'x')"
+                "response", self.response, "a history, such as mbd.Position('tip', 'x')", noun="response of Channel"
             )
         if not self.response.smooth:
             raise InputError(
-                "response of Channel is an angle with wrapped=True, which jumps; allowed: the continuous angle"
+                "response",
+                allowed="the continuous angle",
+                noun="response of Channel",
+                state="is an angle with wrapped=True, which jumps",
             )
         if self.column is not None and not isinstance(self.column, str):
-            raise InputError(f"column of Channel is {self.column!r}; allowed: the name of a column, or None")
+            raise InputError("column", self.column, "the name of a column, or None", noun="column of Channel")
         if self.unit is not None:
             object.__setattr__(self, "unit", checked_unit("unit of Channel", self.unit))
         for name in SENSOR:
@@ -114,5 +117,5 @@ def checked_deviation(what: str, deviation: Any) -> float | np.ndarray:
     except (TypeError, ValueError):
         values = np.zeros(1)
     if values.ndim != 1 or not (values > 0.0).all() or not np.isfinite(values).all():
-        raise InputError(f"{what} is {deviation!r}; allowed: positive numbers, one or one for each row")
+        raise InputError(str(what), deviation, "positive numbers, one or one for each row")
     return values

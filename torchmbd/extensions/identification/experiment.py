@@ -60,13 +60,18 @@ class Experiment(Summary):
             "measurements", single, Measurement, "a measurement, such as mbd.TimeSeries(...)"
         )
         if not self.measurements:
-            raise InputError("measurements is empty; allowed: one measurement at least")
+            raise InputError("measurements", measurements, "one measurement at least", state="is empty")
         for measurement in self.measurements:
             measurement.check(system)
         self.channels = [block.channel for x in self.measurements for block in x.blocks]
         for name in self.channels:
             if self.channels.count(name) > 1:
-                raise InputError(f"channel {name!r} is measured twice in one experiment; allowed: each name once")
+                raise InputError(
+                    name,
+                    allowed="each name once",
+                    noun=f"channel {name!r}",
+                    state="is measured twice in one experiment",
+                )
         self.duration = None if duration is None else positive("duration", duration, "s")
         self.phases = phases
         self.simulation = Simulation.of_caller(
@@ -84,7 +89,10 @@ class Experiment(Summary):
         self.settings = settings_of(system, (), "of the experiment", settings or {}, ("settings",))
         for name in (name for measurement in self.measurements for name in measurement.sets if name in self.settings):
             raise InputError(
-                f"settings has {name!r}, a load that a measurement sets; allowed: parameters that are not loads"
+                "settings",
+                settings,
+                "parameters that are not loads",
+                state=f"has {name!r}, a load that a measurement sets",
             )
         self.steps = steps
 

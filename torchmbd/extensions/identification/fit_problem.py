@@ -90,7 +90,9 @@ class FitProblem:
         parameters = _parameters_of_systems(experiments, unknowns)
         self._names = {name: _own_names(name, x, parameters, len(experiments) > 1) for name, x in experiments.items()}
         if not parameters:
-            raise InputError("unknowns is empty; allowed: names of parameters, or mbd.variable(...) in a channel")
+            raise InputError(
+                "unknowns", unknowns, "names of parameters, or mbd.variable(...) in a channel", state="is empty"
+            )
         self.space = DesignSpace.of_parameters(parameters, bounds, start, links)
         self._keep_positive(experiments)
         self.experiments = self._within(experiments, self._names)

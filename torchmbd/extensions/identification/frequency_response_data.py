@@ -86,7 +86,11 @@ class FrequencyResponseData(Measurement):
             if (direction is None) != (signal.size == 1):
                 text = f"{signal!r}, of {signal.size} numbers" + (f", and {direction!r}" if direction else "")
                 raise InputError(
-                    f"output {name!r} is {text}; allowed: a signal of one, or a pair of a signal of three and 'x', 'y' or 'z'"
+                    name,
+                    text,
+                    "a signal of one, or a pair of a signal of three and 'x', 'y' or 'z'",
+                    noun=f"output {name!r}",
+                    shown=f"{text}",
                 )
             if direction is not None:
                 one_of(f"direction of output {name!r}", direction, "xyz")
@@ -98,7 +102,12 @@ class FrequencyResponseData(Measurement):
         self.deviation: dict[str, np.ndarray] = {}
         for name, m in self.measured.items():
             if not len(m) or (self.form == "polar" and not m.all()):
-                raise InputError(f"output {name!r} is zero or a gap where it was measured; allowed: other numbers")
+                raise InputError(
+                    name,
+                    allowed="other numbers",
+                    noun=f"output {name!r}",
+                    state="is zero or a gap where it was measured",
+                )
         deviation = {} if deviation is None else deviation
         if not isinstance(deviation, Mapping):
             raise InputError("deviation", deviation, "name of an output -> a number, or one for each row")
@@ -106,7 +115,13 @@ class FrequencyResponseData(Measurement):
             one_of("deviation of output", name, self.outputs)
             values = checked_deviation(f"deviation of output {name!r}", x)
             if isinstance(values, np.ndarray) and len(values) != len(self.f):
-                raise InputError(f"deviation of output {name!r} has {len(values)} values; allowed: {len(self.f)}")
+                raise InputError(
+                    (name, "deviation"),
+                    deviation,
+                    f"{len(self.f)}",
+                    noun=f"deviation of output {name!r}",
+                    state=f"has {len(values)} values",
+                )
             self.deviation[name] = np.broadcast_to(values, self.f.shape)[self.present[name]]
 
     def check(self, system: System) -> None:
@@ -153,7 +168,9 @@ def _table(data: Any, frequency: str, names: list[str], form: str) -> tuple[np.n
     for name in [name for name in names if name in pairs]:  # arrays of complex numbers
         x, form = np.asarray(pairs.pop(name)), "complex"
         if not np.iscomplexobj(x):
-            raise InputError(f"output {name!r} has numbers without imaginary parts; allowed: complex ones")
+            raise InputError(
+                name, allowed="complex ones", noun=f"output {name!r}", state="has numbers without imaginary parts"
+            )
         pairs |= {f"{name} real": np.real(x), f"{name} imaginary": np.imag(x)}
     data = pairs or data
     columns = {name: [f"{name} {part}" for part in PARTS[form]] for name in names}
@@ -180,5 +197,7 @@ def _in_unit(table: Table, column: str, unit: str) -> np.ndarray:
     """A column in this SI unit; InputError for a heading of another."""
     factor, si = table.factor(column, None)
     if si not in (None, unit):
-        raise InputError(f"unit of column {column!r} is of [{si}]; allowed: one of [{unit}]")
+        raise InputError(
+            (str(column), "unit"), unit, f"one of [{unit}]", noun=f"unit of column {column!r}", state=f"is of [{si}]"
+        )
     return factor * table.columns[column]

@@ -225,10 +225,10 @@ def _by_name(what: str, experiments: Any, optional: bool = False) -> dict[str, E
     if isinstance(experiments, Sequence) and not isinstance(experiments, str):
         experiments = {f"experiment {k + 1}": x for k, x in enumerate(experiments)}
     if not isinstance(experiments, Mapping) or not (experiments or optional):
-        raise InputError(f"{what} is {experiments!r}; allowed: mbd.Experiment(...), a list, or name -> Experiment")
+        raise InputError(str(what), experiments, "mbd.Experiment(...), a list, or name -> Experiment")
     for name, x in experiments.items():
         if not isinstance(name, str) or not isinstance(x, Experiment):
-            raise InputError(f"{what} has {name!r}: {x!r}; allowed: name -> mbd.Experiment(...)")
+            raise InputError(str(what), allowed="name -> mbd.Experiment(...)", state=f"has {name!r}: {x!r}")
     return dict(experiments)
 
 

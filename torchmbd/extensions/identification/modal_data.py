@@ -104,18 +104,21 @@ class ModalData(Measurement):
         self.sensors = [_velocity(sensor) for sensor in sensors]
         self.shapes = None if shapes is None else _numbers(shapes)
         if shapes is None and self.sensors:
-            raise InputError("sensors are given without shapes; allowed: both, or none")
+            raise InputError("sensors", sensors, "both, or none", state="are given without shapes")
         if shapes is not None and modes is not None:
-            raise InputError(f"modes is {modes!r} with shapes, which pair modes; allowed: one of them")
+            raise InputError("modes", modes, "one of them", state=f"is {modes!r} with shapes, which pair modes")
         if self.shapes is not None and self.shapes.shape != (len(self.sensors), count):
             raise InputError(
-                f"shapes have shape {self.shapes.shape}; allowed: [{len(self.sensors)} sensors, {count} modes]"
+                "shapes",
+                self.shapes,
+                f"[{len(self.sensors)} sensors, {count} modes]",
+                state=f"have shape {self.shapes.shape}",
             )
         if self.shapes is not None and not (
             np.isfinite(self.shapes).all() and (np.abs(self.shapes).max(0) > 0.0).all()
         ):
             raise InputError(
-                "shapes have a mode that is zero or no number; allowed: finite numbers, one that is not zero"
+                "shapes", shapes, "finite numbers, one that is not zero", state="have a mode that is zero or no number"
             )
         numbers: Any = list(range(1, count + 1)) if modes is None else modes
         self.numbers: list[int] = list(numbers) if isinstance(numbers, (list, tuple, range)) else []
@@ -302,5 +305,5 @@ def _numbers(x: Any) -> np.ndarray:
 def _positive(what: str, numbers: Any, unit: str) -> np.ndarray:
     values = _numbers(numbers)
     if values.ndim != 1 or not len(values) or not (values > 0.0).all() or not np.isfinite(values).all():
-        raise InputError(f"{what} is {numbers!r}; allowed: positive numbers{unit}, one at least")
+        raise InputError(str(what), numbers, f"positive numbers{unit}, one at least")
     return values

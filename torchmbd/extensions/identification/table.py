@@ -56,7 +56,7 @@ class Table:
         texts = [str(key) for key in data]
         headings = _headings(texts)
         if len(headings) < len(texts):
-            raise InputError(f"data has columns {texts}; allowed: each name once, whatever its unit")
+            raise InputError("data", data, "each name once, whatever its unit", state=f"has columns {texts}")
         keys = dict(zip(headings, data, strict=True))
         for name in names:
             if name not in headings:
@@ -65,7 +65,7 @@ class Table:
             units |= {name: unit} if (unit := headings[name]) else {}
         sizes = {name: len(x) for name, x in columns.items()}
         if len(set(sizes.values())) > 1:
-            raise InputError(f"columns have {sizes} rows; allowed: the same number in all")
+            raise InputError("columns", allowed="the same number in all", state=f"have {sizes} rows")
         return cls(columns, units)
 
     def row(self, index: int) -> str:
@@ -121,7 +121,7 @@ def _read(file: Path, names: Sequence[str]) -> Table:
         with open(file, newline="", encoding="utf-8-sig") as text:
             texts = next(csv.reader(text, delimiter=separator), [])
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"data is {str(file)!r}: {error}; allowed: a CSV file") from error
+        raise InputError("data", str(file), "a CSV file", shown=f"{str(file)!r}: {error}") from error
     headings = _headings(texts)
     if len(headings) < len(texts):
         raise InputError(f"{file}, line 1: headings are {texts}; allowed: each name once")
@@ -133,7 +133,7 @@ def _read(file: Path, names: Sequence[str]) -> Table:
     try:
         frame = pd.read_csv(file, dtype=np.float64, keep_default_na=False, na_values=list(GAPS), **options)
     except pd.errors.EmptyDataError:
-        raise InputError(f"{file} is empty; allowed: a line of names, and a line for each time") from None
+        raise InputError(str(file), allowed="a line of names, and a line for each time", state="is empty") from None
     except ValueError as error:
         raise (_fault(file, separator, texts, places) or InputError(f"{file}: {error}")) from error
     if not _is_regular(file, separator, len(texts)) and (fault := _fault(file, separator, texts, places)):

@@ -176,20 +176,25 @@ def _check(
     weight_of_zone = dict.fromkeys(laminates, 1.0) if areas is None else areas
     for argument, by_name in (("plies", plies), ("areas", weight_of_zone)):
         if not isinstance(by_name, Mapping) or set(by_name) != set(laminates):
-            raise InputError(f"{argument} is {by_name!r}; allowed: a value for each of {', '.join(laminates)}")
+            raise InputError(argument, by_name, f"a value for each of {', '.join(laminates)}")
     for name, laminate in laminates.items():
         check_target(f"laminate of {name!r}", laminate, plies[name])
         if not is_real(weight_of_zone[name]) or not 0.0 < weight_of_zone[name] < math.inf:
-            raise InputError(f"area of {name!r} is {weight_of_zone[name]!r}; allowed: a number > 0")
+            raise InputError((name, "area"), weight_of_zone[name], "a number > 0", noun=f"area of {name!r}")
     check_search(rules, weights, seed)
     first, *others = (without_variables(laminate.ply) for laminate in laminates.values())
     if any(ply != first for ply in others):
         raise InputError(
-            "laminates has zones of different plies; allowed: one material, because zones share their plies"
+            "laminates",
+            laminates,
+            "one material, because zones share their plies",
+            state="has zones of different plies",
         )
     symmetric = {laminate.coupling is None for laminate in laminates.values()}
     if len(symmetric) > 1:
-        raise InputError("laminates has zones with coupling and zones without; allowed: all with, or all without")
+        raise InputError(
+            "laminates", laminates, "all with, or all without", state="has zones with coupling and zones without"
+        )
     if symmetric == {True} and len({n % 2 for n in plies.values()}) > 1:
         raise InputError(f"plies is {dict(plies)!r}; allowed for symmetric stacks: all even, or all odd")
     return symmetric.pop(), dict(weight_of_zone)

@@ -76,18 +76,28 @@ class LaminationParameters(Laminate):
     ) -> None:
         nn.Module.__init__(self)
         if not isinstance(ply, Lamina):
-            raise InputError(f"ply of LaminationParameters is {ply!r}; allowed: a Ply")
+            raise InputError("ply", ply, "a Ply", noun="ply of LaminationParameters")
         if varies(ply):
-            raise InputError("ply of LaminationParameters has numbers that vary; allowed: a ply of numbers")
+            raise InputError(
+                "ply", ply, "a ply of numbers", noun="ply of LaminationParameters", state="has numbers that vary"
+            )
         if ply.loss:
             raise InputError(
-                f"ply of LaminationParameters has the loss factor {ply.loss!r}; allowed: 0: these have no plies that differ"
+                "ply",
+                ply,
+                "0: these have no plies that differ",
+                noun="ply of LaminationParameters",
+                state=f"has the loss factor {ply.loss!r}",
             )
         if not (field is None or isinstance(field, FiberField)):
-            raise InputError(f"field of LaminationParameters is {field!r}; allowed: a FiberField, or None")
+            raise InputError("field", field, "a FiberField, or None", noun="field of LaminationParameters")
         if not (is_real(shear_correction) and 0.0 < shear_correction <= 1.0):
             raise InputError(
-                f"LaminationParameters: shear_correction = {shear_correction!r}; allowed: 0 < shear_correction <= 1"
+                "shear_correction",
+                shear_correction,
+                "0 < shear_correction <= 1",
+                noun="LaminationParameters: shear_correction",
+                state=f"= {shear_correction!r}",
             )
         checked = true_or_false("checked of LaminationParameters", checked)
         self.ply, self.field, self.shear_correction = ply, field, float(shear_correction)
@@ -118,8 +128,12 @@ class LaminationParameters(Laminate):
             ABD = torch.cat([torch.cat([X.A, X.B], -1), torch.cat([X.B, X.D], -1)], -2)
             if not bool((torch.linalg.eigvalsh(ABD) > 0.0).all()):
                 raise InputError(
-                    f"LaminationParameters: membrane = {self.membrane.tolist()} and the other parameters have a stiffness "
-                    "that is not positive definite; allowed: lamination parameters of a stack of plies"
+                    "membrane",
+                    self.membrane.tolist(),
+                    "lamination parameters of a stack of plies",
+                    noun="LaminationParameters: membrane",
+                    state=f"= {self.membrane.tolist()} and the other parameters have a stiffness that is not positive "
+                    "definite",
                 )
 
     def sets(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -224,7 +238,9 @@ def _four(name: str, values: Sequence | Tensor, field: FiberField | None) -> nn.
     shape = (4,) if field is None else (field.controls, 4)
     if x.shape != shape:
         words = "[4]" if field is None else f"[{field.controls} controls, 4]"
-        raise InputError(f"{name} of LaminationParameters has shape {tuple(x.shape)}; allowed: {words}")
+        raise InputError(
+            name, x, f"{words}", noun=f"{name} of LaminationParameters", state=f"has shape {tuple(x.shape)}"
+        )
     return x
 
 
@@ -234,10 +250,20 @@ def _thickness(thickness: float | Tensor, field: FiberField | None) -> nn.Parame
         h = nn.Parameter(h.detach(), requires_grad=False)
     if h.ndim and (field is None or h.shape != (field.controls,)):
         raise InputError(
-            f"thickness of LaminationParameters has shape {tuple(h.shape)}; allowed: a number [m], or one for each control"
+            "thickness",
+            h,
+            "a number [m], or one for each control",
+            noun="thickness of LaminationParameters",
+            state=f"has shape {tuple(h.shape)}",
         )
     if not bool((h > 0.0).all() and h.isfinite().all()):
-        raise InputError(f"LaminationParameters: thickness = {h.tolist()!r} m; allowed: finite numbers > 0")
+        raise InputError(
+            "thickness",
+            h.tolist(),
+            "finite numbers > 0",
+            noun="LaminationParameters: thickness",
+            state=f"= {h.tolist()!r} m",
+        )
     warn_unusual("LaminationParameters: thickness", float(h.detach().max()), "m", THICKNESS)
     return h
 

@@ -81,5 +81,10 @@ def _laminates(system: System, name: str) -> list[LaminationParameters]:
     plates = getattr(system.body(name), "plates", {}).values()
     laminates = [part.laminate for part in plates if isinstance(part.laminate, LaminationParameters)]
     if not laminates:
-        raise InputError(f"body {name!r} has no lamination parameters; allowed: a plate of LaminationParameters(...)")
+        raise InputError(
+            name,
+            allowed="a plate of LaminationParameters(...)",
+            noun=f"body {name!r}",
+            state="has no lamination parameters",
+        )
     return laminates

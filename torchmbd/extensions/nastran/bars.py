@@ -84,7 +84,9 @@ def _size(x: np.ndarray) -> float:
 def _offset_flags(bar: Bar) -> str:
     word = bar.card.text(8).upper() or "GGG"
     if len(word) != 3 or word[0] not in "GB" or not set(word[1:]) <= set("GO"):
-        raise InputError(f"{bar.card}: OFFT is {word!r}; allowed: G or B, then twice G or O, such as GGG")
+        raise InputError(
+            (str(bar.card), "OFFT"), word, "G or B, then twice G or O, such as GGG", noun=f"{bar.card}: OFFT"
+        )
     return word
 
 

@@ -43,7 +43,7 @@ class Card:
             return default
         plain = _EXPONENT.sub(r"\1E\2", text.upper().replace("D", "E"))
         if not _REAL.fullmatch(plain) or not math.isfinite(value := float(plain)):
-            raise InputError(f"{self}: {name} is {text!r}; allowed: a number")
+            raise InputError((str(self), name), text, "a number", noun=f"{self}: {name}")
         return value
 
     def integer(self, position: int, name: str, default: int | None = None) -> int:
@@ -52,7 +52,7 @@ class Card:
         if not text and default is not None:
             return default
         if not _INTEGER.fullmatch(text):
-            raise InputError(f"{self}: {name} is {text!r}; allowed: an integer")
+            raise InputError((str(self), name), text, "an integer", noun=f"{self}: {name}")
         return int(text)
 
     def integers(self, start: int, known: Collection[int]) -> list[int]:
@@ -69,7 +69,7 @@ class Card:
                 if k + 1 < len(words) and words[k].upper() == "BY":
                     by, k = _integer(self, words[k + 1]), k + 2
                 if by < 1:
-                    raise InputError(f"{self}: BY is {by}; allowed: 1 or more")
+                    raise InputError((str(self), "BY"), by, "1 or more", noun=f"{self}: BY", shown=f"{by}")
                 inside = range(result[-1] + by, end + 1, by)
                 smaller, other = (inside, known) if len(inside) < len(known) else (known, inside)
                 result.extend(sorted(x for x in smaller if x in other))

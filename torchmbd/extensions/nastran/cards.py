@@ -156,7 +156,7 @@ class _Files:
             raise InputError(f"{file.name}: INCLUDE in a chain of more than {NESTED} files; allowed: {NESTED}")
         if file.stat().st_size > _BYTES * LINES:
             raise InputError(
-                f"{file.name} has {file.stat().st_size} bytes; allowed: {LINES} lines, {_BYTES * LINES} bytes"
+                file.name, allowed=f"{LINES} lines, {_BYTES * LINES} bytes", state=f"has {file.stat().st_size} bytes"
             )
         self.hash.update(file.read_bytes())
         with file.open(encoding="utf-8-sig", errors=self.errors, newline="") as handle:

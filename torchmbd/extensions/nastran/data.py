@@ -229,11 +229,17 @@ class BulkData:
         if name == "WTMASS":
             self.weight_to_mass = card.real(2, name)
             if not self.weight_to_mass > 0.0:
-                raise InputError(f"{card}: WTMASS is {card.text(2)!r}; allowed: above 0")
+                raise InputError((str(card), "WTMASS"), card.text(2), "above 0", noun=f"{card}: WTMASS")
         elif name == "K6ROT":
             self.ignored["PARAM K6ROT, as drilling freedoms have the stiffness of the membrane"] += 1
         elif name in FACTORS and card.real(2, name) != 1.0:
-            raise InputError(f"{card}: {name} is {card.text(2)}, it multiplies {FACTORS[name]}; allowed: 1.0")
+            raise InputError(
+                (str(card), name),
+                card.text(2),
+                "1.0",
+                noun=f"{card}: {name}",
+                state=f"is {card.text(2)}, it multiplies {FACTORS[name]}",
+            )
 
     def _sort_link(self, card: Card) -> None:
         """Sort an element between two points: kept between grids, left out between scalar points or at the ground."""
@@ -278,7 +284,9 @@ class BulkData:
     def _check_grids(self, card: Card, grids: tuple[int, ...]) -> None:
         for grid in grids:
             if grid in self.scalars:
-                raise InputError(f"{card}: {grid} is a scalar point; allowed: grids")
+                raise InputError(
+                    (str(card), str(grid)), allowed="grids", noun=f"{card}: {grid}", state="is a scalar point"
+                )
             if grid not in self.grids:
                 raise InputError(f"{card}: GRID {grid} does not exist")
 
@@ -336,7 +344,13 @@ def _mass(card: Card) -> Mass:
     offsets = [card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)]
     system = card.integer(3, "CID", 0)
     if system < 0:
-        raise InputError(f"{card}: CID is {card.text(3)}, X1 to X3 are a place; allowed: none, put a grid there")
+        raise InputError(
+            (str(card), "CID"),
+            card.text(3),
+            "none, put a grid there",
+            noun=f"{card}: CID",
+            state=f"is {card.text(3)}, X1 to X3 are a place",
+        )
     principal = [card.real(k, name, 0.0) for k, name in ((9, "I11"), (11, "I22"), (14, "I33"))]
     products = [card.real(k, name, 0.0) for k, name in ((10, "I21"), (12, "I31"), (13, "I32"))]
     if any(products) or max(principal) != min(principal):

@@ -78,7 +78,10 @@ def _chosen(data: BulkData, control: Control | None) -> list[Card]:
     if len(names) != 1 or not names[0].isdigit() or int(names[0]) not in (sets.keys() | unions.keys()):
         place = f" ({next(iter(control.chosen['NSM'].values()))})" if control else ""
         raise InputError(
-            f"NSM is {', '.join(names)}{place}; allowed: one set of {sorted(sets.keys() | unions.keys())} in the case control"
+            "NSM",
+            ", ".join(names),
+            f"one set of {sorted(sets.keys() | unions.keys())} in the case control",
+            shown=f"{', '.join(names)}{place}",
         )
     number = int(names[0])
     if number not in unions:

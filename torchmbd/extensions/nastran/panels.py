@@ -65,7 +65,13 @@ def _panel(data: BulkData, panel: Solid) -> tuple[np.ndarray, float]:
         factor = card.real(5 + k, name, 0.0)
         lengths = [float(np.linalg.norm(x[j] - x[i])) for i, j in sides[k::2]]
         if factor < 0.0 or not min(lengths) > 0.0:
-            raise InputError(f"{card}: {name} is {factor:g}, sides {lengths}; allowed: {name} >= 0, sides > 0")
+            raise InputError(
+                (str(card), name),
+                factor,
+                f"{name} >= 0, sides > 0",
+                noun=f"{card}: {name}",
+                shown=f"{factor:g}, sides {lengths}",
+            )
         width = 2.0 * area / sum(lengths)
         section = 0.5 * factor * t * (width if factor <= _SMALL else t)
         for (i, j), length in zip(sides[k::2], lengths, strict=True):

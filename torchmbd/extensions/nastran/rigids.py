@@ -95,7 +95,13 @@ def read_constraint(card: Card) -> MultipointConstraint:
         raise InputError(f"{card}: it has {len(terms)} terms; allowed: at least two, G1 C1 A1 G2 C2 A2")
     first, others = terms[0], terms[1:]
     if first.factor == 0.0:
-        raise InputError(f"{card}: A1 is {card.text(4)}; allowed: not 0, the first term follows the others")
+        raise InputError(
+            (str(card), "A1"),
+            card.text(4),
+            "not 0, the first term follows the others",
+            noun=f"{card}: A1",
+            shown=f"{card.text(4)}",
+        )
     if any(term[:2] == first[:2] for term in others):
         raise InputError(
             f"{card}: component {first.component} of GRID {first.grid} stands twice; allowed: it follows once"
@@ -125,7 +131,9 @@ def _rbe3(card: Card) -> Rigid:
             weight, components = card.real(position, "WT"), True
         elif components:
             if not {"1", "2", "3"} <= set(word):
-                raise InputError(f"{card}: C is {word!r}; allowed: 123, the displacements of the averaged grids")
+                raise InputError(
+                    (str(card), "C"), word, "123, the displacements of the averaged grids", noun=f"{card}: C"
+                )
             if set(word) & {"4", "5", "6"} and not turning:
                 turning = word
             components = False
@@ -143,7 +151,7 @@ def _components(card: Card, position: int, name: str) -> str:
     """A field of components, such as 123: digits 1 to 6, each once."""
     text = card.text(position)
     if not text or not set(text) <= set(ALL) or len(set(text)) < len(text):
-        raise InputError(f"{card}: {name} is {text!r}; allowed: components 1 to 6, each once, such as 123")
+        raise InputError((str(card), name), text, "components 1 to 6, each once, such as 123", noun=f"{card}: {name}")
     return "".join(sorted(text))
 
 

@@ -32,14 +32,16 @@ def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
     """Make the section of a bar. InputError names the card and the field."""
     material = data.material(card, card.integer(2, "MID"))
     if material.name != "MAT1":
-        raise InputError(f"{card}: {material} is the material of a beam; allowed: MAT1")
+        raise InputError(
+            (str(card), str(material)), allowed="MAT1", noun=f"{card}: {material}", state="is the material of a beam"
+        )
     ply = ply_of(material, units, data.weight_to_mass)
     readers = {"PBAR": _bar, "PBARL": _named_bar, "PBEAM": _beam, "PBEAML": _named_beam}
     if card.name not in readers:
         raise InputError(f"{card}: this section cannot be read; allowed: {', '.join(readers)}")
     numbers, extra = readers[card.name](card)
     if not numbers.A > 0.0:
-        raise InputError(f"{card}: A is {numbers.A:g}; allowed: above 0")
+        raise InputError((str(card), "A"), numbers.A, "above 0", noun=f"{card}: A", shown=f"{numbers.A:g}")
     L = units.length
     density = ply.density + extra * units.mass / L * data.weight_to_mass / (numbers.A * L**2)
     try:
@@ -93,7 +95,7 @@ def _named_beam(card: Card) -> tuple[SectionNumbers, float]:
     for start in range(9 + len(names), len(card.fields) + 1, step):
         word = card.text(start).upper()
         if word not in (*STATIONS, ""):
-            raise InputError(f"{card}: SO is {word!r}; allowed: {', '.join(STATIONS)}, after each station")
+            raise InputError((str(card), "SO"), word, f"{', '.join(STATIONS)}, after each station", noun=f"{card}: SO")
         place = _station(card, start + 1)
         stations[place] = [card.real(start + 2 + k, name, first[k]) for k, name in enumerate(names)]
     sections = {
@@ -117,7 +119,7 @@ def _shape(card: Card, kind: str, d: list[float]) -> SectionNumbers:
 def _kind(card: Card, allowed: set[str]) -> str:
     kind = card.text(4).upper()
     if kind not in allowed:
-        raise InputError(f"{card}: TYPE is {kind!r}; allowed: {', '.join(sorted(allowed))}")
+        raise InputError((str(card), "TYPE"), kind, ", ".join(sorted(allowed)), noun=f"{card}: TYPE")
     return kind
 
 

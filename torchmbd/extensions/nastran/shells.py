@@ -107,7 +107,7 @@ def _equivalent(material: Card, Q: Tensor, units: Units, data: BulkData) -> Ply:
 def _stack(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
     kind = card.text(8).upper()
     if kind not in ("", "SYM"):
-        raise InputError(f"{card}: LAM is {kind!r}; allowed: blank, SYM")
+        raise InputError((str(card), "LAM"), kind, "blank, SYM", noun=f"{card}: LAM")
     materials, thicknesses, angles = [], [], []
     for start in ply_places(card):
         materials.append(card.integer(start, "MID", materials[-1] if materials else None))

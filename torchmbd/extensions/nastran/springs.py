@@ -116,7 +116,13 @@ def _bushing(data: BulkData, link: Link) -> np.ndarray:
     axes = _bushing_axes(data, link, a, b, k)
     share = link.card.real(9, "S", 0.5)
     if not 0.0 <= share <= 1.0 or link.card.text(10) not in ("", "-1"):
-        raise InputError(f"{link.card}: S is {share:g}, OCID {link.card.text(10)!r}; allowed: 0 to 1, no OCID")
+        raise InputError(
+            (str(link.card), "S"),
+            share,
+            "0 to 1, no OCID",
+            noun=f"{link.card}: S",
+            shown=f"{share:g}, OCID {link.card.text(10)!r}",
+        )
     place, G = a + share * (b - a), np.zeros((6, 12))
     for column, x, sign in ((0, a, -1.0), (6, b, 1.0)):
         d = place - x
@@ -199,7 +205,12 @@ def _solid_material(data: BulkData, card: Card, number: int, units: Units) -> tu
         C[range(6), range(6)] = [1 / E] * 3 + [1 / G] * 3
         return torch.from_numpy(np.linalg.inv(C)) * units.stress, density_of(material, 5, units, data.weight_to_mass)
     if material.name != "MAT9":
-        raise InputError(f"{solid}: {material} is the material of a solid; allowed: MAT1, MAT9")
+        raise InputError(
+            (str(solid), str(material)),
+            allowed="MAT1, MAT9",
+            noun=f"{solid}: {material}",
+            state="is the material of a solid",
+        )
     D = np.zeros((6, 6))
     D[np.triu_indices(6)] = [material.real(2 + k, "G", 0.0) for k in range(21)]
     D = D + np.triu(D, 1).T
@@ -207,7 +218,9 @@ def _solid_material(data: BulkData, card: Card, number: int, units: Units) -> tu
         raise InputError(f"{material}: its matrix G is not positive definite; allowed: an elastic material")
     system = solid.integer(3, "CORDM", 0)
     if system < 0:
-        raise InputError(f"{solid}: CORDM is {system}; allowed: 0 or a system, with MAT9")
+        raise InputError(
+            (str(solid), "CORDM"), system, "0 or a system, with MAT9", noun=f"{solid}: CORDM", shown=f"{system}"
+        )
     if data.systems.curved(system, solid):
         raise InputError(f"{solid}: CORDM {system} is not a rectangular system; allowed: a rectangular one, with MAT9")
     T = _strain_transformation(data.systems.axes(system, solid, np.zeros(3)))

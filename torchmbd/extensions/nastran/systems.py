@@ -35,7 +35,9 @@ class Systems:
 
     def _add(self, card: Card, number: int) -> None:
         if number < 1:
-            raise InputError(f"{card}: CID is {number}; allowed: above 0, which is the basic system")
+            raise InputError(
+                (str(card), "CID"), number, "above 0, which is the basic system", noun=f"{card}: CID", shown=f"{number}"
+            )
         if number in self._cards:
             raise InputError(f"{card}: the number {number} is taken by {self._cards[number]}")
         self._cards[number] = card

@@ -113,7 +113,9 @@ class CallbackLaw(Control):
         f = self.law(s, rate, t)
         if not isinstance(f, Tensor) or f.shape != s.shape or f.dtype != s.dtype:
             shown = f"{f.dtype} {list(f.shape)}" if isinstance(f, Tensor) else repr(f)
-            raise InputError(f"{self.label} gives {shown} at t = {float(t):.6g} s; allowed: {s.dtype} {list(s.shape)}")
+            raise InputError(
+                self.label, allowed=f"{s.dtype} {list(s.shape)}", state=f"gives {shown} at t = {float(t):.6g} s"
+            )
         return f[0]
 
     def with_jacobian(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:

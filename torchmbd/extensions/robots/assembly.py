@@ -79,7 +79,7 @@ def robot(
     }
     for key, argument in named.items():
         if argument is not None and not isinstance(argument, Mapping):
-            raise InputError(f"{key} is {argument!r}; allowed: names -> values")
+            raise InputError(key, argument, "names -> values")
     names = None if isinstance(locked, str) or not isinstance(locked, Iterable) else list(locked)
     if names is None or not all(isinstance(name, str) for name in names):
         raise InputError("locked", locked, "names of joints")
@@ -118,7 +118,7 @@ class _Builder:
                     raise unknown(f"{key}:", name, allowed)
         for link, body in self.flexible.items():
             if not isinstance(body, FlexibleBody):
-                raise InputError(f"flexible[{link!r}] is {body!r}; allowed: a FlexibleBody")
+                raise InputError(("flexible", link), body, "a FlexibleBody", noun=f"flexible[{link!r}]")
         self.q = {name: scalar(f"positions[{name!r}]", x) for name, x in positions.items()}
         self.rate = {name: scalar(f"velocities[{name!r}]", x) for name, x in velocities.items()}
         self.fixed_base = fixed_base
@@ -350,8 +350,12 @@ class _Builder:
         size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
         if np.linalg.norm(arm) > FAR * size:
             raise InputError(
-                f"joint {joint!r} is {np.linalg.norm(arm):.3g} m away from {'its nodes' if named else 'the nearest node'} "
-                f"of {body.name!r}; allowed: {FAR * size:.3g} m, a mesh in the frame of the link"
+                str(joint),
+                np.linalg.norm(arm),
+                f"{FAR * size:.3g} m, a mesh in the frame of the link",
+                noun=f"joint {joint!r}",
+                state=f"is {np.linalg.norm(arm):.3g} m away from {('its nodes' if named else 'the nearest node')} "
+                f"of {body.name!r}",
             )
         return body.at(joint if named else members[0], axes=pose.axes.tolist(), offset=arm.tolist())
 

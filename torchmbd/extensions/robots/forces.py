@@ -66,7 +66,13 @@ def actuator_forces(
         if not callable(control):
             control = scalar(f"controls[{actuator.name!r}]", control)
             if not least <= control <= largest:
-                raise InputError(f"controls[{actuator.name!r}] is {control:g}; allowed: from {least:g} to {largest:g}")
+                raise InputError(
+                    ("controls", actuator.name),
+                    control,
+                    f"from {least:g} to {largest:g}",
+                    noun=f"controls[{actuator.name!r}]",
+                    shown=f"{control:g}",
+                )
         if actuator.joint in joints and (callable(control) or any((control, *actuator.bias))):
             joint, a, b = joints[actuator.joint]
             center = 0.5 * sum(joint.limits) if joint.limits else 0.0

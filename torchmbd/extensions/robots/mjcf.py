@@ -78,11 +78,13 @@ def _include(file: Path, root: ET.Element) -> None:
                 seen.add(other)
                 size += other.stat().st_size
                 if size > LARGEST:
-                    raise InputError(f"{file.name} has more than {LARGEST} bytes with what it includes; allowed: fewer")
+                    raise InputError(
+                        file.name, allowed="fewer", state=f"has more than {LARGEST} bytes with what it includes"
+                    )
                 parent[k : k + 1] = list(read_xml(other, "an MJCF")[1])
         level, depth = [child for parent in level for child in parent], depth + 1
         if depth > DEEPEST:
-            raise InputError(f"{file.name} has more than {DEEPEST} levels of elements; allowed: fewer")
+            raise InputError(file.name, allowed="fewer", state=f"has more than {DEEPEST} levels of elements")
 
 
 class _Reader(Values):
@@ -247,7 +249,9 @@ class _Reader(Values):
         if not lowest <= self.number(where, attributes, "group") <= highest:
             return None
         if (shell := attributes.get("shellinertia", "false")) != "false":
-            raise InputError(f"{where}: shellinertia is {shell!r}; allowed: 'false', or <inertial> in the body")
+            raise InputError(
+                (str(where), "shellinertia"), shell, "'false', or <inertial> in the body", noun=f"{where}: shellinertia"
+            )
         if kind not in SHAPES or "mesh" in attributes:
             raise InputError(
                 f"{where}: type {'mesh' if 'mesh' in attributes else kind!r} gives no inertia here; "
@@ -258,11 +262,17 @@ class _Reader(Values):
             ends = np.array(self.numbers(where, attributes, "fromto", "", 6)).reshape(2, 3)
             half = 0.5 * float(np.linalg.norm(ends[1] - ends[0]))
             if not half > 1e-9:
-                raise InputError(f"{where}: fromto is {attributes['fromto']!r}; allowed: two points")
+                raise InputError((str(where), "fromto"), attributes["fromto"], "two points", noun=f"{where}: fromto")
             pose = Pose(ends.mean(0), axes_along_z((ends[0] - ends[1]) / (2.0 * half)))
             size = [*size[:1] * (SHAPES[kind] - 1), half]
         if len(size) < SHAPES[kind] or min(size[: SHAPES[kind]]) <= 0.0:
-            raise InputError(f"{where}: size is {size}; allowed: {SHAPES[kind]} positive numbers of a {kind}")
+            raise InputError(
+                (str(where), "size"),
+                size,
+                f"{SHAPES[kind]} positive numbers of a {kind}",
+                noun=f"{where}: size",
+                shown=f"{size}",
+            )
         volume, inertia = shape_inertia(kind, size)
         mass = mass if mass >= 0.0 else density * volume
         pose = around @ pose
@@ -293,7 +303,9 @@ class _Reader(Values):
                 continue
             quaternion = self.numbers(where, attributes, "relpose", "0 1 0 0 0 0 0", 7)[3:]
             if element.tag not in ("connect", "weld") or "site1" in attributes or any(quaternion):
-                raise InputError(f"{where} is not read; allowed: joint, connect with anchor, weld without relpose")
+                raise InputError(
+                    str(where), allowed="joint, connect with anchor, weld without relpose", state="is not read"
+                )
             pair = attributes.get("body1", ""), attributes.get("body2", "world")
             for link in pair:
                 if link not in links:
@@ -310,7 +322,12 @@ class _Reader(Values):
         terms = self.numbers(where, attributes, "polycoef", "0 1 0 0 0")
         if any(terms[2:]) and len(names) == 2:
             raise InputError(
-                f"{where}: polycoef = {terms}: must be linear. Try: zero for the third number and the following"
+                (str(where), "polycoef"),
+                terms,
+                rule="must be linear",
+                hint="zero for the third number and the following",
+                noun=f"{where}: polycoef",
+                shown=f"{terms}",
             )
         follower = joints[names[0]]
         if follower.mimics is not None:

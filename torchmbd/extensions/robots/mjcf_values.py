@@ -95,14 +95,14 @@ class Values:
         """Return the factors of a polynomial, of the first power first: one to three numbers."""
         factors = self.numbers(where, attributes, key, "0")
         if not 1 <= len(factors) <= 3:
-            raise InputError(f"{where}: {key} is {attributes.get(key)!r}; allowed: one to three numbers")
+            raise InputError((str(where), key), attributes.get(key), "one to three numbers", noun=f"{where}: {key}")
         return tuple(factors)
 
     def direction(self, where: str, attributes: Attributes, key: str, default: str) -> np.ndarray:
         vector = np.array(self.numbers(where, attributes, key, default, 3))
         length = float(np.linalg.norm(vector))
         if not length > 1e-9:
-            raise InputError(f"{where}: {key} is {attributes.get(key)!r}; allowed: a direction")
+            raise InputError((str(where), key), attributes.get(key), "a direction", noun=f"{where}: {key}")
         return vector / length
 
     def pose(self, where: str, attributes: Attributes) -> Pose:
@@ -117,7 +117,9 @@ class Values:
             x, y = np.array(self.numbers(where, attributes, "xyaxes", "", 6)).reshape(2, 3)
             z = np.cross(x, y)
             if not min(np.linalg.norm(x), np.linalg.norm(z)) > 1e-9:
-                raise InputError(f"{where}: xyaxes is {attributes['xyaxes']!r}; allowed: two directions")
+                raise InputError(
+                    (str(where), "xyaxes"), attributes["xyaxes"], "two directions", noun=f"{where}: xyaxes"
+                )
             x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
             return np.stack([x, np.cross(z, x), z], axis=1)
         if "zaxis" in attributes:
@@ -131,7 +133,7 @@ class Values:
         w, *v = self.numbers(where, attributes, "quat", "1 0 0 0", 4)
         length, sine = math.hypot(w, *v), math.hypot(*v)
         if not length > 1e-9:
-            raise InputError(f"{where}: quat is {attributes['quat']!r}; allowed: one that is not zero")
+            raise InputError((str(where), "quat"), attributes["quat"], "one that is not zero", noun=f"{where}: quat")
         return rotation(np.array(v) / sine, 2.0 * math.atan2(sine, w)) if sine else np.eye(3)
 
     def limits(self, where: str, attributes: Attributes, key: str, limited: str) -> tuple[float, float] | None:
@@ -142,7 +144,7 @@ class Values:
         if switch == "false" or (switch == "auto" and not automatic):
             return None
         if not lower < upper:
-            raise InputError(f"{where}: {key} is {attributes.get(key)!r}; allowed: lower below upper")
+            raise InputError((str(where), key), attributes.get(key), "lower below upper", noun=f"{where}: {key}")
         return lower, upper
 
 

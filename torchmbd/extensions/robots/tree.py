@@ -169,11 +169,11 @@ def read_xml(path: str | Path, what: str) -> tuple[Path, ET.Element]:
     if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
         raise InputError("path", str(path), f"{what} file that exists")
     if file.stat().st_size > LARGEST:
-        raise InputError(f"{file.name} has {file.stat().st_size} bytes; allowed: {LARGEST}")
+        raise InputError(file.name, allowed=f"{LARGEST}", state=f"has {file.stat().st_size} bytes")
     text = file.read_bytes()
     if b"<!DOCTYPE" in text or b"<!ENTITY" in text or b"\x00" in text:
         raise InputError(
-            f"{file.name} has a document type or is not UTF-8 text; allowed: plain {what.partition(' ')[2]}"
+            file.name, allowed=f"plain {what.partition(' ')[2]}", state="has a document type or is not UTF-8 text"
         )
     try:
         return file, ET.fromstring(text)
@@ -226,5 +226,5 @@ def numbers(where: str, text: str, count: int | None = None) -> list[float]:
     size = max(len(words), 1) if count is None else count
     if len(words) != size or len(values) != size or not all(map(math.isfinite, values)):
         many = "numbers" if count is None else f"{count} number{'s' if count > 1 else ''}"
-        raise InputError(f"{where} is {text!r}; allowed: {many}")
+        raise InputError(str(where), text, f"{many}")
     return values

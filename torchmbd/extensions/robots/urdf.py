@@ -46,7 +46,7 @@ def urdf_robot(path: str | Path) -> Robot:
         raise InputError(f"{file.name}: its root is <{root.tag}>; allowed: <robot> (expand a xacro file first)")
     for element in root.iter():
         if "xacro" in element.tag:
-            raise InputError(f"{file.name} has <{element.tag}>; allowed: plain URDF (expand a xacro file first)")
+            raise InputError(file.name, allowed="plain URDF (expand a xacro file first)", state=f"has <{element.tag}>")
     _check_parts(file.name, root)
     links = by_unique_name(file.name, "link", (_link(file.name, element) for element in root.findall("link")))
     joints = by_unique_name(file.name, "joint", (_joint(file.name, element) for element in root.findall("joint")))
@@ -87,7 +87,7 @@ def _number(where: str, element: ET.Element | None, key: str, default: float | N
     text = None if element is None else element.get(key)
     if text is None:
         if default is None:
-            raise InputError(f"{where}: {key} is missing; allowed: a number")
+            raise InputError((str(where), key), allowed="a number", noun=f"{where}: {key}", state="is missing")
         return default
     return numbers(f"{where}: {key}", text, 1)[0]
 
@@ -119,7 +119,7 @@ def _link(file: str, element: ET.Element) -> Link:
     xx, xy, xz, yy, yz, zz = (_number(where, tensor, key, 0.0) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if mass < 0.0:
-        raise InputError(f"{where}: mass is {mass:g}; allowed: zero or positive")
+        raise InputError((str(where), "mass"), mass, "zero or positive", noun=f"{where}: mass", shown=f"{mass:g}")
     if tensor is None and mass:
         warn(f"{where}: it has no <inertia>; taken as a point of {mass:g} kg")
     return Link(name, mass, pose.position, pose.axes @ J @ pose.axes.T)
@@ -134,13 +134,17 @@ def _joint(file: str, element: ET.Element) -> RobotJoint:
     for end in ("parent", "child"):
         link = element.find(end)
         if link is None or not link.get("link"):
-            raise InputError(f"{where}: {end} is missing; allowed: <{end} link=...>")
+            raise InputError(
+                (str(where), str(end)), allowed=f"<{end} link=...>", noun=f"{where}: {end}", state="is missing"
+            )
         ends.append(link.get("link", ""))
     axis_element = element.find("axis")
     axis = np.array(numbers(f"{where}: axis", "1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0"), 3))
     length = float(np.linalg.norm(axis))
     if kind != "fixed" and not length > 1e-9:
-        raise InputError(f"{where}: axis is {axis.tolist()}; allowed: a direction")
+        raise InputError(
+            (str(where), "axis"), axis.tolist(), "a direction", noun=f"{where}: axis", shown=f"{axis.tolist()}"
+        )
     limit, dynamics, limits = element.find("limit"), element.find("dynamics"), None
     if kind in ("revolute", "prismatic") and limit is not None and {"lower", "upper"} & set(limit.keys()):
         limits = _number(where, limit, "lower", 0.0), _number(where, limit, "upper", 0.0)

@@ -110,7 +110,9 @@ class _Eigenproblem:
         size = min(self._size(lane) for lane in range(lanes))
         self.numbers = range(size) if self.modes is None else self._chosen()
         if wrong := [k for k in self.numbers if not 0 <= k < size]:
-            raise InputError(f"number is {wrong[0] + 1}; allowed: 1 to {size}, the vibrations that all designs have")
+            raise InputError(
+                "number", wrong[0] + 1, f"1 to {size}, the vibrations that all designs have", shown=f"{wrong[0] + 1}"
+            )
         parts = torch.stack([x.values[list(self.numbers)] for x in self.spectra], -1)[:, None]
         return (parts.real, parts.imag) if parts.is_complex() else (parts,)
 

@@ -45,7 +45,9 @@ def frozen_poles(
         raise InputError("motion", motion, "one of mbd.simulate; an equilibrium has `poles`")
     k, states = time_index(motion, time, "motion"), []
     if outside_transforms(lambda q: q.shape[-1], motion.q.movedim(0, -1)) > motion.lanes:
-        raise InputError("motion is one under torch.vmap over designs; allowed: designs as lanes of one motion")
+        raise InputError(
+            "motion", motion, "designs as lanes of one motion", state="is one under torch.vmap over designs"
+        )
     for lane in range(motion.require_ok().lanes):
         dynamics = motion.dynamics.select_lanes([lane])
         q, v = (x[lane, k][:, None, None] for x in (motion.q, motion.v))

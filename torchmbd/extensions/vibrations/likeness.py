@@ -89,8 +89,10 @@ class MostAlike:
         best = len(likeness) - 1 - int((likeness > 0.99 * likeness.max()).flip(0).to(torch.int8).argmax())
         if not float(likeness[best]) > SURE:
             raise DesignFailure(
-                f"{self.name} is lost: the vibration most like it has a likeness (MAC) of {float(likeness[best]):.2f}, it has "
-                f"become a part of several; allowed: follow=False, a cluster, or designs nearer to the start{where}"
+                self.name,
+                allowed=f"follow=False, a cluster, or designs nearer to the start{where}",
+                state=f"is lost: the vibration most like it has a likeness (MAC) of {float(likeness[best]):.2f}, it "
+                "has become a part of several",
             )
         return best
 

@@ -84,7 +84,9 @@ class LinearSystem:
             try:
                 result.append(self.C @ np.linalg.solve(2j * np.pi * x * unit - self.A, self.B) + self.D)
             except np.linalg.LinAlgError as error:
-                raise InputError(f"frequencies has {x:g} Hz, a pole without damping; allowed: others") from error
+                raise InputError(
+                    "frequencies", frequencies, "others", state=f"has {x:g} Hz, a pole without damping"
+                ) from error
         return np.stack(result) if result else np.zeros((0, *self.D.shape), dtype=complex)
 
 
@@ -139,7 +141,9 @@ def linearize(
             raise InputError(f"state has coordinates {list(q.shape[:1])} that are not those of the system")
         if isinstance(state, Equilibrium):
             if coordinates is not None:
-                raise InputError(f"coordinates is {coordinates!r} with an equilibrium; allowed: with a motion")
+                raise InputError(
+                    "coordinates", coordinates, "with a motion", state=f"is {coordinates!r} with an equilibrium"
+                )
             small = _about_rest(dynamics, q, state, lane, k)
         else:
             small = _about_motion(dynamics, q, state, lane, k, coordinates)
@@ -158,11 +162,11 @@ def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signa
     inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
     outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
     if not inputs:
-        raise InputError("inputs is empty; allowed: at least one actuator")
+        raise InputError("inputs", inputs, "at least one actuator", state="is empty")
     if not outputs:
-        raise InputError("outputs is empty; allowed: at least one signal")
+        raise InputError("outputs", outputs, "at least one signal", state="is empty")
     if any(isinstance(signal, Time) for signal in outputs):
-        raise InputError("outputs has the time; allowed: signals of the motion")
+        raise InputError("outputs", outputs, "signals of the motion", state="has the time")
     return inputs, outputs
 
 
@@ -200,7 +204,9 @@ def _about_rest(dynamics: Any, q: Tensor, state: Equilibrium, lane: int, k: int)
     if not float((rest.N.T @ rest.unbalanced).abs().amax(0) if rest.N.numel() else 0.0) <= _BALANCED * size or (
         rest.phi.numel() and not float(rest.phi.abs().max()) <= _BALANCED
     ):
-        raise InputError("state is not an equilibrium of the system; allowed: mbd.equilibrium(...) of this system")
+        raise InputError(
+            "state", state, "mbd.equilibrium(...) of this system", state="is not an equilibrium of the system"
+        )
     factored_inertia(rest.inertia)
     N = torch.zeros(len(rest.forces), rest.N.shape[1], dtype=q.dtype)
     N[rest.active] = rest.N
@@ -216,8 +222,11 @@ def _about_motion(
     change = (moving.observer.a[:, 0, 0] - a).abs().max()
     if not (moving.violation <= _KEPT and float(change) <= _SAME * float(a.abs().max()) + _KEPT):
         raise InputError(
-            f"state is not a motion of the system: its joints are open by {moving.violation:.2g} m or m/s, its accelerations "
-            f"differ by {float(change):.2g} m/s2 or rad/s2; allowed: mbd.simulate(...) of this system, with small steps"
+            "state",
+            state,
+            "mbd.simulate(...) of this system, with small steps",
+            state=f"is not a motion of the system: its joints are open by {moving.violation:.2g} m or m/s, its "
+            f"accelerations differ by {float(change):.2g} m/s2 or rad/s2",
         )
     names = [dynamics.topology.rate_name(row) for row in moving.rows]
     factored_inertia(moving.M)  # refuses what moves without a mass

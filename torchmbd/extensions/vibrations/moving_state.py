@@ -159,7 +159,7 @@ def time_index(motion: Trajectory, time: float | None, name: str = "state") -> i
     motions in phases."""
     if motion.actions or motion.switches:
         raise InputError(
-            f"{name} is a motion in phases; allowed: a motion without, which may start at the end of another"
+            name, allowed="a motion without, which may start at the end of another", state="is a motion in phases"
         )
     if time is None:
         return len(motion.t) - 1

@@ -100,7 +100,9 @@ class PortFunctions:
                         ("ground", "turning") if isinstance(observer, GroundObserver) else ("turning", "ground")
                     )
                     raise InputError(
-                        f"observer = {here!r}: must see {name} {k} in the same direction at every turn, but it "
-                        f"{'turns with the machine' if here == 'ground' else 'is one of the ground across the axis'}. "
-                        f"Try: observer={there!r}, or a direction along the axis."
+                        "observer",
+                        here,
+                        rule=f"must see {name} {k} in the same direction at every turn, but it "
+                        f"{('turns with the machine' if here == 'ground' else 'is one of the ground across the axis')}",
+                        hint=f"observer={there!r}, or a direction along the axis.",
                     )

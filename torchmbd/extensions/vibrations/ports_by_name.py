@@ -42,7 +42,7 @@ class NamedPort:
     def __post_init__(self) -> None:
         name, direction, place = self.labels
         if not isinstance(self.name, str):
-            raise InputError(f"{name} is {self.name!r}; allowed: the name of a joint or of a body")
+            raise InputError(name, self.name, "the name of a joint or of a body")
         if self.direction is not None:
             one_of(direction, self.direction, "xyz")
         x: Any = self.place
@@ -73,23 +73,28 @@ class NamedPort:
             joint: Any = joint_named(system, self.name)
             if not isinstance(joint, (Revolute, Prismatic)):
                 raise InputError(
-                    f"{argument} is {self.name!r}, a {type(joint).__name__}; allowed: revolute and prismatic joints, bodies"
+                    argument,
+                    self.name,
+                    "revolute and prismatic joints, bodies",
+                    shown=f"{self.name!r}, a {type(joint).__name__}",
                 )
             for label, x in ((direction, self.direction), (place, self.place)):
                 if x is not None:
-                    raise InputError(f"{label} is {x!r} with joint {self.name!r}; allowed: with a body")
+                    raise InputError(label, x, "with a body", state=f"is {x!r} with joint {self.name!r}")
             return joint
         bodies = sorted(body.name for body in (*system.bodies, *system.beams))
         if self.name not in bodies:
-            raise InputError(f"{argument} is {self.name!r}; allowed: joints {sorted(joints)}, bodies {bodies}")
+            raise InputError(argument, self.name, f"joints {sorted(joints)}, bodies {bodies}")
         if self.direction is None:
-            raise InputError(f"{direction} is None with body {self.name!r}; allowed: 'x', 'y', 'z'")
+            raise InputError(str(direction), allowed="'x', 'y', 'z'", state=f"is None with body {self.name!r}")
         body: Any = system.body(self.name)
         at: Any = self.place
         if isinstance(body, RigidBody):
             if at is not None and not isinstance(at, tuple):
-                raise InputError(f"{place} is {at!r} on the rigid body {self.name!r}; allowed: a point (x, y, z) [m]")
+                raise InputError(
+                    str(place), at, "a point (x, y, z) [m]", state=f"is {at!r} on the rigid body {self.name!r}"
+                )
             return body.at(*(at or ()))
         if at is None or isinstance(at, tuple):
-            raise InputError(f"{place} is {at!r} on the flexible body {self.name!r}; allowed: a node")
+            raise InputError(str(place), at, "a node", state=f"is {at!r} on the flexible body {self.name!r}")
         return body.at(at)

@@ -77,7 +77,10 @@ class AnchorArcs:
             for key in (*_HANDLES, *_LENGTHS):
                 if key in anchor and not isinstance(anchor[key], Mapping):
                     raise InputError(
-                        f"{key} of anchor {name!r} = {anchor[key]!r}: must have grid and values, or an anchor"
+                        (name, key),
+                        anchor[key],
+                        rule="must have grid and values, or an anchor",
+                        noun=f"{key} of anchor {name!r}",
                     )
             defines = anchor.get("width", {}).get("defines", [])
             if not isinstance(defines, list):
@@ -168,5 +171,5 @@ def _reference(owner: str, entry: Any) -> tuple[str, str]:
     anchor = entry.get("anchor") if isinstance(entry, Mapping) else None
     name, handle = (anchor.get(key) if isinstance(anchor, Mapping) else None for key in ("name", "handle"))
     if not isinstance(name, str) or not isinstance(handle, str):
-        raise InputError(f"{owner} = {entry!r}: must be an anchor, with name and handle")
+        raise InputError(str(owner), entry, rule="must be an anchor, with name and handle")
     return name, handle

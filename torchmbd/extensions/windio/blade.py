@@ -81,7 +81,9 @@ class WindIOBlade:
             raise InputError(f"{path.name}: {error}") from None
         except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise InputError(
-                f"{path.name} is not a windIO blade: {_error_text(error)}; allowed: components, airfoils, materials"
+                path.name,
+                allowed="components, airfoils, materials",
+                state=f"is not a windIO blade: {_error_text(error)}",
             ) from None
 
     def contour(self, position: float) -> Array:
@@ -110,9 +112,9 @@ class WindIOBlade:
         order    of the elements: 2, or 1, which is too stiff in shear where walls are thin
         """
         if not isinstance(position, (int, float)) or not 0.0 <= position <= 1.0:
-            raise InputError(f"position = {position!r}; allowed: 0 to 1, a part of the span")
+            raise InputError("position", position, "0 to 1, a part of the span", state=f"= {position!r}")
         if not is_whole(cells) or cells < 1:
-            raise InputError(f"cells = {cells!r}; allowed: an integer >= 1")
+            raise InputError("cells", cells, "an integer >= 1", state=f"= {cells!r}")
         check_order(order)
         try:
             return self._section(position, cells, order)

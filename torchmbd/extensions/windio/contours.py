@@ -96,7 +96,11 @@ def _resampled(name: str, coordinates: Mapping[str, Any]) -> Array:
     rows = [np.array(coordinates[axis], dtype=float) for axis in "xy"]
     if rows[0].ndim != 1 or rows[0].shape != rows[1].shape or not np.isfinite(rows).all():
         raise InputError(
-            f"coordinates of airfoil {name!r} are {[row.shape for row in rows]} numbers; allowed: as many, finite"
+            (name, "coordinates"),
+            [row.shape for row in rows],
+            "as many, finite",
+            noun=f"coordinates of airfoil {name!r}",
+            state=f"are {[row.shape for row in rows]} numbers",
         )
     points = np.stack(rows, 1)
     if len(np.unique(points[:, 0])) < 3 or points[:, 0].argmin() in (0, len(points) - 1):

@@ -38,7 +38,7 @@ def span_values(name: str, table: Mapping[str, Any], unit: float = 1.0) -> SpanV
         raise InputError(f"{name}: {error!r}; allowed: grid and values, numbers") from None
     if grid.ndim != 1 or grid.shape != values.shape or len(grid) < 1 or not (np.diff(grid) >= 0.0).all():
         first = np.atleast_1d(grid).tolist()[:5]
-        raise InputError(f"{name} has grid {first} and {values.size} values; allowed: as many, rising")
+        raise InputError(name, allowed="as many, rising", state=f"has grid {first} and {values.size} values")
     if not (np.isfinite(grid).all() and np.isfinite(values).all()):
-        raise InputError(f"{name} has numbers that are not finite; allowed: finite ones")
+        raise InputError(name, allowed="finite ones", state="has numbers that are not finite")
     return SpanValues(grid, unit * values)

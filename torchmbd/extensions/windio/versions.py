@@ -66,7 +66,7 @@ def entries(data: Mapping[str, Any]) -> Entries:
     version = "1" if stated is None else str(stated).strip()
     number = re.fullmatch(r"(\d+)(?:\.\d+)*", version)
     if isinstance(stated, bool) or number is None or number[1] not in ("1", "2"):
-        raise InputError(f"windIO_version = {stated!r}: must be 1 or 2, such as 2.0")
+        raise InputError("windIO_version", stated, rule="must be 1 or 2, such as 2.0")
     if stated is None and "outer_shape_bem" not in blade and "outer_shape" in blade:
         raise InputError(
             "windIO_version is missing: must be 2 where the blade has an outer_shape. Try: windIO_version: 2.0"

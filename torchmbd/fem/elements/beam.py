@@ -186,7 +186,7 @@ class BeamMatrices:
         d, count = reals("orientation", self._orientation), len(self.mesh.elements)
         if d.shape not in ((3,), (count, 3)) or not torch.isfinite(d).all():
             raise InputError(
-                f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite"
+                "orientation", d, "[3], or one for each element [m, 3], finite", state=f"has shape {tuple(d.shape)}"
             )
         d = (d if d.ndim == 1 else d[self.members][:, None]).expand_as(e_x)
         e_y = d - (d * e_x).sum(-1, keepdim=True) * e_x

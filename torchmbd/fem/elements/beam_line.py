@@ -125,7 +125,13 @@ class BeamLine:
         numbers: Any = nodes if self.node_module is None else evaluate_nodes(self.node_module)
         self.nodes = reals("nodes of a BeamLine", numbers)
         if self.node_module is not None and middles is not None:
-            raise InputError("nodes of a BeamLine vary and it has middles; allowed: numbers, or straight elements")
+            raise InputError(
+                "nodes",
+                nodes,
+                "numbers, or straight elements",
+                noun="nodes of a BeamLine",
+                state="vary and it has middles",
+            )
         _check_nodes(self.nodes)
         chain = np.array(list(pairwise(range(len(self.nodes)))))
         self.elements = indices("elements of a BeamLine", chain if elements is None else elements)
@@ -136,7 +142,7 @@ class BeamLine:
         if node_sets is None:
             node_sets = {"start": [0], "end": [len(self.nodes) - 1]} if elements is None else {}
         if not isinstance(node_sets, Mapping):
-            raise InputError(f"node_sets of a BeamLine is {node_sets!r}; allowed: names -> lists of nodes")
+            raise InputError("node_sets", node_sets, "names -> lists of nodes", noun="node_sets of a BeamLine")
         self.node_sets = {str(name): node_members("BeamLine", name, members) for name, members in node_sets.items()}
         for name, members in self.node_sets.items():
             for k in members:
@@ -153,12 +159,20 @@ class BeamLine:
         length   [m]; mbd.variable(...) is a design variable of the body, "rod.line.length"
         """
         if not 0.0 < number(length) < float("inf"):
-            raise InputError(f"BeamLine: length = {length!r} m; allowed: a finite number > 0")
+            raise InputError("length", length, "a finite number > 0", noun="BeamLine: length", state=f"= {length!r} m")
         if not is_whole(elements) or elements < 1:
-            raise InputError(f"BeamLine: elements = {elements!r}; allowed: an integer >= 1")
+            raise InputError(
+                "elements", elements, "an integer >= 1", noun="BeamLine: elements", state=f"= {elements!r}"
+            )
         d = np.asarray(direction, dtype=float)
         if d.shape != (3,) or not np.isfinite(d).all() or not d.any():
-            raise InputError(f"BeamLine: direction = {direction!r}; allowed: three finite numbers, not all zero")
+            raise InputError(
+                "direction",
+                direction,
+                "three finite numbers, not all zero",
+                noun="BeamLine: direction",
+                state=f"= {direction!r}",
+            )
         unit = np.linspace(0.0, 1.0, elements + 1)[:, None] * d / np.linalg.norm(d)
         nodes: Any = Straight(length, torch.from_numpy(unit)) if is_variable(length) else unit * float(length)
         sets = {"start": [0], "end": [elements]} | ({"center": [elements // 2]} if elements % 2 == 0 else {})
@@ -173,11 +187,17 @@ class BeamLine:
         angle    from the first tangent to the last [rad], less than a whole turn; an element takes half a turn at most
         """
         if not 0.0 < radius < float("inf"):
-            raise InputError(f"BeamLine: radius = {radius!r} m; allowed: a finite number > 0")
+            raise InputError("radius", radius, "a finite number > 0", noun="BeamLine: radius", state=f"= {radius!r} m")
         if not 0.0 < angle < 2.0 * np.pi:
-            raise InputError(f"BeamLine: angle = {angle!r} rad; allowed: 0 to 2 pi")
+            raise InputError("angle", angle, "0 to 2 pi", noun="BeamLine: angle", state=f"= {angle!r} rad")
         if not is_whole(elements) or elements < 1 or angle > np.pi * elements:
-            raise InputError(f"BeamLine: elements = {elements!r}; allowed: an integer >= 1, one for each half turn")
+            raise InputError(
+                "elements",
+                elements,
+                "an integer >= 1, one for each half turn",
+                noun="BeamLine: elements",
+                state=f"= {elements!r}",
+            )
         at = np.linspace(0.0, angle, 2 * elements + 1)
         places = radius * np.stack([np.sin(at), 1.0 - np.cos(at), 0.0 * at], axis=1)
         sets = {"start": [0], "end": [elements]} | ({"center": [elements // 2]} if elements % 2 == 0 else {})
@@ -199,7 +219,9 @@ class BeamLine:
 
 def _check_nodes(nodes: Tensor) -> None:
     if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
-        raise InputError(f"BeamLine: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 2")
+        raise InputError(
+            "nodes", nodes, "[n, 3] with n >= 2", noun="BeamLine: nodes", state=f"has shape {tuple(nodes.shape)}"
+        )
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
         raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
@@ -211,7 +233,13 @@ def _check_nodes(nodes: Tensor) -> None:
 def _check_elements(nodes: Tensor, elements: Tensor) -> None:
     n = len(nodes)
     if elements.ndim != 2 or elements.shape[1] != 2 or len(elements) == 0:
-        raise InputError(f"BeamLine: elements has shape {tuple(elements.shape)}; allowed: [m, 2] with m >= 1")
+        raise InputError(
+            "elements",
+            elements,
+            "[m, 2] with m >= 1",
+            noun="BeamLine: elements",
+            state=f"has shape {tuple(elements.shape)}",
+        )
     bad = ((elements < 0) | (elements >= n)).any(dim=1).nonzero().flatten()
     if len(bad):
         raise InputError(
@@ -234,7 +262,13 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
 
 def _check_middles(ends: Tensor, middles: Tensor) -> None:
     if middles.shape != (len(ends), 3) or not torch.isfinite(middles).all():
-        raise InputError(f"BeamLine: middles has shape {tuple(middles.shape)}; allowed: finite, [{len(ends)}, 3]")
+        raise InputError(
+            "middles",
+            middles,
+            f"finite, [{len(ends)}, 3]",
+            noun="BeamLine: middles",
+            state=f"has shape {tuple(middles.shape)}",
+        )
     start, end = ends.unbind(1)
     chord, arrow = end - start, middles - 0.5 * (start + end)
     c, b = chord.norm(dim=1), arrow.norm(dim=1)

@@ -170,7 +170,9 @@ class Isotropic:
             if not 0.0 < value < float("inf"):
                 raise InputError(f"GivenSection: {name} = {value!r}; allowed: a finite number > 0")
         if not -1.0 < number(self.nu) <= 0.5:
-            raise InputError(f"GivenSection: nu = {number(self.nu)!r}; allowed: -1 < nu <= 0.5")
+            raise InputError(
+                "nu", number(self.nu), "-1 < nu <= 0.5", noun="GivenSection: nu", state=f"= {number(self.nu)!r}"
+            )
         numbers = without_variables(self)
         warn_unusual_material("GivenSection", {"E": numbers.E}, numbers.density, None)
         for name in ("Iyy", "Izz", "J"):
@@ -218,9 +220,11 @@ def definite_stiffness(section: BeamSection) -> Float[Tensor, "*lanes 6 6"]:
 def line_transform(offset: Float[Tensor, "*n 2"], twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 6 6"]:
     """W: forces of the section about the line of the nodes, in the beam's axes. offset: (y, z) [m]; twist [rad]."""
     if not all_true(torch.isfinite(offset)):
-        raise InputError(f"offset is {offset.tolist()}; allowed: finite numbers, y and z [m]")
+        raise InputError("offset", offset.tolist(), "finite numbers, y and z [m]", shown=f"{offset.tolist()}")
     if not all_true(twist.abs() <= 2 * torch.pi):
-        raise InputError(f"twist is {plain_numbers(twist).tolist()}; allowed: -2 pi to 2 pi [rad]")
+        raise InputError(
+            "twist", plain_numbers(twist).tolist(), "-2 pi to 2 pi [rad]", shown=f"{plain_numbers(twist).tolist()}"
+        )
     y, z, twist = torch.broadcast_tensors(*offset.unbind(-1), twist)
     c, s = torch.cos(twist), torch.sin(twist)
     o, unit = torch.zeros_like(c), torch.ones_like(c)
@@ -239,9 +243,15 @@ def checked(name: str, matrix: Sequence | Tensor) -> Tensor:
     try:
         A = torch.as_tensor(matrix, dtype=torch.float64).detach().clone()
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(f"{name} of a section is {matrix!r}; allowed: a 6 x 6 matrix") from error
+        raise InputError(name, matrix, "a 6 x 6 matrix", noun=f"{name} of a section") from error
     if A.shape != (6, 6) or not torch.isfinite(A).all():
-        raise InputError(f"{name} of a section has shape {tuple(A.shape)}; allowed: a 6 x 6 matrix of finite numbers")
+        raise InputError(
+            name,
+            A,
+            "a 6 x 6 matrix of finite numbers",
+            noun=f"{name} of a section",
+            state=f"has shape {tuple(A.shape)}",
+        )
     diagonal = A.diagonal()
     if not (diagonal > 0).all():
         k = int((~(diagonal > 0)).nonzero()[0])

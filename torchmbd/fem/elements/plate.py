@@ -112,9 +112,9 @@ class PlateMatrices:
         zones: Int[Tensor, " cells"] | None = None,
     ) -> None:
         if not isinstance(mesh, Mesh):
-            raise InputError(f"mesh of a plate is {mesh!r}; allowed: a Mesh, such as mbd.mesh.rectangle(...)")
+            raise InputError("mesh", mesh, "a Mesh, such as mbd.mesh.rectangle(...)", noun="mesh of a plate")
         if not isinstance(laminate, (Laminate, IsotropicMean)):
-            raise InputError(f"laminate of a plate is {laminate!r}; allowed: a Laminate")
+            raise InputError("laminate", laminate, "a Laminate", noun="laminate of a plate")
         self.mesh = mesh
         chosen = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
         self.mean = laminate if isinstance(laminate, IsotropicMean) else IsotropicMean.of(laminate)
@@ -173,7 +173,7 @@ class PlateMatrices:
     def stiffness(self, entries: Float[Tensor, "*lanes 21"]) -> SparseMatrix:
         """Return K of one laminate or of a batch; of several laminates entries are [*lanes, laminates, 21]."""
         if entries.shape[-1] != len(ENTRIES):
-            raise InputError(f"entries has shape {tuple(entries.shape)}; allowed: [..., {len(ENTRIES)}]")
+            raise InputError("entries", entries, f"[..., {len(ENTRIES)}]", state=f"has shape {tuple(entries.shape)}")
         return SparseMatrix(self.pattern, self.values(entries))
 
     def moved_mean(self, laminate: Laminate) -> Float[Tensor, "*lanes 3"] | None:

@@ -66,10 +66,10 @@ class Plates:
         several = isinstance(laminate, Sequence)
         self.laminates, self.mass, self.direction = tuple(laminate) if several else (laminate,), mass, direction
         if not isinstance(mesh, Mesh):
-            raise InputError(f"mesh of a plate is {mesh!r}; allowed: a Mesh, such as mbd.mesh.rectangle(...)")
+            raise InputError("mesh", mesh, "a Mesh, such as mbd.mesh.rectangle(...)", noun="mesh of a plate")
         for member in self.laminates:
             if not isinstance(member, Laminate):
-                raise InputError(f"laminate of a plate is {member!r}; allowed: a Laminate")
+                raise InputError("laminate", member, "a Laminate", noun="laminate of a plate")
         self.mesh, self._zones = mesh, zones
         self.cells = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
         field = self.laminates[0].field

@@ -104,9 +104,11 @@ class ExactBeam(nn.Module):
     ) -> None:
         super().__init__()
         if not isinstance(name, str) or not name:
-            raise InputError(f"name of an ExactBeam is {name!r}; allowed: a string")
+            raise InputError("name", name, "a string", noun="name of an ExactBeam")
         if not isinstance(line, BeamLine):
-            raise InputError(f"line of {name!r} is a {type(line).__name__}; allowed: a BeamLine")
+            raise InputError(
+                (name, "line"), line, "a BeamLine", noun=f"line of {name!r}", state=f"is a {type(line).__name__}"
+            )
         self.name, self.mesh = name, line
         m = len(line.elements)
         self.sections = SpanSections(name, line, section)
@@ -120,11 +122,23 @@ class ExactBeam(nn.Module):
             self.register_buffer("twist", reals(f"twist of {name!r}", twist), persistent=False)
         if self.twist.shape not in ((), (m,), (m, 2)):
             allowed = f"one angle, one for each element [{m}], or two, at its start and end [{m}, 2]"
-            raise InputError(f"twist of {name!r} has shape {tuple(self.twist.shape)}; allowed: {allowed}")
+            raise InputError(
+                (name, "twist"),
+                self.twist,
+                f"{allowed}",
+                noun=f"twist of {name!r}",
+                state=f"has shape {tuple(self.twist.shape)}",
+            )
         self.register_buffer("offset", reals(f"offset of {name!r}", offset), persistent=False)
         if self.offset.shape not in ((2,), (m, 2)):
             allowed = f"[2], or one for each element [{m}, 2]"
-            raise InputError(f"offset of {name!r} has shape {tuple(self.offset.shape)}; allowed: {allowed}")
+            raise InputError(
+                (name, "offset"),
+                self.offset,
+                f"{allowed}",
+                noun=f"offset of {name!r}",
+                state=f"has shape {tuple(self.offset.shape)}",
+            )
         plain_twist = self.twist.dim() < 2 and not isinstance(self.twist, nn.Parameter)
         simple = line.middles is None and plain_twist and not self.sections.tapered
         self._matrices = BeamMatrices(line, orientation, stations=_STATIONS if simple else _TURNING)
@@ -234,7 +248,9 @@ class ExactBeam(nn.Module):
         fixed, imposed = supported_freedoms(self.name, self.mesh, supports)
         free = torch.tensor([f for f in range(6 * n) if f not in set(fixed)])
         if not len(free):
-            raise InputError(f"supports of {self.name!r} hold all freedoms; allowed: fewer")
+            raise InputError(
+                (self.name, "supports"), supports, "fewer", noun=f"supports of {self.name!r}", state="hold all freedoms"
+            )
         data, symmetric = beam_data(
             self.mesh, self.sections, elements, present_nodes(self.mesh), imposed, arguments, massive
         )

@@ -36,7 +36,7 @@ def read_wrench(name: str, wrench: Any) -> Float[Tensor, "*lanes 6"]:
     """Read a force, or force and moment, with its gradient; InputError names the argument."""
     x = differentiable_reals(name, wrench, "3 or 6 finite numbers")
     if x.dim() == 0 or x.shape[-1] not in (3, 6) or not all_true(torch.isfinite(x)):
-        raise InputError(f"{name} is {wrench!r}; allowed: 3 or 6 finite numbers")
+        raise InputError(name, wrench, "3 or 6 finite numbers")
     return x if x.shape[-1] == 6 else torch.cat([x, torch.zeros_like(x)], -1)
 
 
@@ -44,7 +44,7 @@ def read_vector(name: str, vector: Any) -> Float[Tensor, " 3"]:
     """Read three numbers with their gradient."""
     x = differentiable_reals(name, vector, "three finite numbers")
     if x.shape != (3,) or not all_true(torch.isfinite(x)):
-        raise InputError(f"{name} is {vector!r}; allowed: three finite numbers")
+        raise InputError(name, vector, "three finite numbers")
     return x
 
 
@@ -54,7 +54,7 @@ def nodal_loads(name: str, line: BeamLine, loads: Loads | None) -> Float[Tensor,
     if loads is None:
         return total
     if not isinstance(loads, Mapping):
-        raise InputError(f"{name} is {loads!r}; allowed: nodes -> force, or force and moment")
+        raise InputError(name, loads, "nodes -> force, or force and moment")
     for where, wrench in loads.items():
         load = read_wrench(f"{name}[{where!r}]", wrench)
         if load.shape != (6,):
@@ -72,7 +72,7 @@ def line_loads(name: str, line: BeamLine, wrench: Any) -> Float[Tensor, "m 6"]:
     load = read_wrench(name, wrench)
     if load.shape not in ((6,), (m, 6)):
         raise InputError(
-            f"{name} has shape {tuple(load.shape)}; allowed: 3 or 6 numbers, or as many for each of {m} elements"
+            name, load, f"3 or 6 numbers, or as many for each of {m} elements", state=f"has shape {tuple(load.shape)}"
         )
     return load.expand(m, 6)
 
@@ -81,7 +81,7 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
     """Return the held freedoms 6 * node + i, and the imposed displacements and rotations [n, 6]; default: all of "start"."""
     supports = {"start": "all"} if supports is None else supports
     if not isinstance(supports, Mapping) or not supports:
-        raise InputError(f"supports of {name!r} is {supports!r}; allowed: nodes -> freedoms, at least one")
+        raise InputError((name, "supports"), supports, "nodes -> freedoms, at least one", noun=f"supports of {name!r}")
     places: dict[int, float] = {}
     for where, support in supports.items():
         values = _values(f"support {where!r} of {name!r}", support)
@@ -117,6 +117,4 @@ def _values(name: str, support: Any) -> list[float | None]:
             numbers = [float("nan")]
         if all(x is None or abs(x) < float("inf") for x in numbers):
             return numbers
-    raise InputError(
-        f"{name} is {support!r}; allowed: some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
-    )
+    raise InputError(name, support, f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free")

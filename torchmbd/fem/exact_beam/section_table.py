@@ -44,7 +44,13 @@ class SectionTable(nn.Module):
             or float(at[-1]) != 1.0
             or not bool((at.diff() > 0).all())
         ):
-            raise InputError(f"positions of a SectionTable are {at.tolist()}; allowed: rising numbers from 0 to 1")
+            raise InputError(
+                "positions",
+                at.tolist(),
+                "rising numbers from 0 to 1",
+                noun="positions of a SectionTable",
+                state=f"are {at.tolist()}",
+            )
         if len(sections) != len(at):
             raise InputError(
                 f"{len(sections)} sections for {len(at)} positions of a SectionTable; allowed: one for each"

@@ -46,7 +46,11 @@ class SpanSections:
             chain = torch.stack([torch.arange(m), torch.arange(m) + 1], 1)
             if not torch.equal(line.elements, chain):
                 raise InputError(
-                    f"section of {name!r} is a SectionTable and its line is not a chain; allowed: 0-1, 1-2, ..."
+                    (name, "section"),
+                    section,
+                    "0-1, 1-2, ...",
+                    noun=f"section of {name!r}",
+                    state="is a SectionTable and its line is not a chain",
                 )
             self.modules: dict[str, nn.Module] = {"section": self._table}
             return
@@ -55,7 +59,9 @@ class SpanSections:
             raise InputError(f"{len(by_element)} sections for {m} elements of {name!r}; allowed: one, or one for each")
         for x in by_element:
             if not (isinstance(x, nn.Module) and isinstance(x, BeamSection)):
-                raise InputError(f"section of {name!r} is {x!r}; allowed: a Section, a GivenSection, a SectionTable")
+                raise InputError(
+                    (name, "section"), x, "a Section, a GivenSection, a SectionTable", noun=f"section of {name!r}"
+                )
         self._sections = list(dict.fromkeys(by_element))
         self._index = torch.tensor([self._sections.index(x) for x in by_element])
         names = ["section"] if len(self._sections) == 1 else [f"section{k}" for k in range(len(self._sections))]

@@ -44,11 +44,25 @@ class IsotropicMean:
         if isinstance(self.poisson, Tensor):
             return
         if not -1.0 < self.poisson < 1.0:
-            raise InputError(f"IsotropicMean: poisson = {self.poisson!r}; allowed: -1 < poisson < 1")
+            raise InputError(
+                "poisson", self.poisson, "-1 < poisson < 1", noun="IsotropicMean: poisson", state=f"= {self.poisson!r}"
+            )
         if not 0.0 < self.shear_length < math.inf:
-            raise InputError(f"IsotropicMean: shear_length = {self.shear_length!r} m; allowed: a finite number > 0")
+            raise InputError(
+                "shear_length",
+                self.shear_length,
+                "a finite number > 0",
+                noun="IsotropicMean: shear_length",
+                state=f"= {self.shear_length!r} m",
+            )
         if not self.bending_length > 0.0:
-            raise InputError(f"IsotropicMean: bending_length = {self.bending_length!r} m; allowed: a number > 0")
+            raise InputError(
+                "bending_length",
+                self.bending_length,
+                "a number > 0",
+                noun="IsotropicMean: bending_length",
+                state=f"= {self.bending_length!r} m",
+            )
 
     @property
     def layer_length(self) -> Any:

@@ -124,7 +124,7 @@ class Laminate(nn.Module):
     ) -> None:
         super().__init__()
         if not is_real(offset):
-            raise InputError(f"Laminate: offset = {offset!r}; allowed: a finite number [m]")
+            raise InputError("offset", offset, "a finite number [m]", noun="Laminate: offset", state=f"= {offset!r}")
         self.offset = float(offset)
         self.angles = checked_angles("Laminate", angles)
         layers = self.angles.numel()

@@ -18,14 +18,20 @@ from torchmbd.math.plausible_units import THICKNESS, check_angles, warn_unusual
 def checked_angles(owner: str, angles: Sequence[float] | Tensor) -> nn.Parameter:
     theta = parameter(f"angles of a {owner}", angles)
     if theta.ndim != 1 or theta.numel() == 0:
-        raise InputError(f"{owner}: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
+        raise InputError(
+            (str(owner), "angles"),
+            theta,
+            "one angle per layer, [layers] rad",
+            noun=f"{owner}: angles",
+            state=f"has shape {tuple(theta.shape)}",
+        )
     check_angles("angles", theta.tolist(), f"{owner}: ")
     return theta
 
 
 def checked_plies(ply: Lamina | Sequence[Lamina], layers: int) -> list[Lamina]:
     if not isinstance(ply, (Lamina, Sequence)) or isinstance(ply, str):
-        raise InputError(f"Laminate: ply = {ply!r}; allowed: a Ply, or one Ply per layer")
+        raise InputError("ply", ply, "a Ply, or one Ply per layer", noun="Laminate: ply", state=f"= {ply!r}")
     plies = [ply] * layers if isinstance(ply, Lamina) else list(ply)
     for k, p in enumerate(plies):
         if not isinstance(p, Lamina):
@@ -39,8 +45,11 @@ def checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) 
     t = parameter("thickness of a Laminate", thickness)
     if t is thickness and t.ndim == 0:
         raise InputError(
-            "Laminate: thickness is one variable; allowed: torch.nn.Parameter of one number per angle [layers] [m], which "
-            "`links` of a problem may keep equal"
+            "thickness",
+            thickness,
+            "torch.nn.Parameter of one number per angle [layers] [m], which `links` of a problem may keep equal",
+            noun="Laminate: thickness",
+            state="is one variable",
         )
     if t is not thickness:  # numbers
         t = nn.Parameter(t.detach().repeat(layers) if t.ndim == 0 else t.detach(), requires_grad=False)
@@ -60,6 +69,10 @@ def checked_correction(value: float | str) -> float | str:
         return "energy"
     if isinstance(value, str) or not is_real(value) or not 0.0 < value <= 1.0:
         raise InputError(
-            f"Laminate: shear_correction = {value!r}; allowed: 0 < shear_correction <= 1, or the word 'energy'"
+            "shear_correction",
+            value,
+            "0 < shear_correction <= 1, or the word 'energy'",
+            noun="Laminate: shear_correction",
+            state=f"= {value!r}",
         )
     return float(value)

@@ -94,18 +94,31 @@ class Ply(Lamina):
         check_positive(self)
         loss = number(self.loss)
         if not (is_real(loss) and math.isfinite(loss) and loss >= 0.0):
-            raise InputError(f"Ply: loss = {loss!r}; allowed: zero or positive, or mbd.variable(...) of such a number")
+            raise InputError(
+                "loss",
+                loss,
+                "zero or positive, or mbd.variable(...) of such a number",
+                noun="Ply: loss",
+                state=f"= {loss!r}",
+            )
         nu12 = number(self.nu12)
         if not (is_real(nu12) and math.isfinite(nu12)):
-            raise InputError(f"Ply: nu12 = {nu12!r}; allowed: a finite number, or mbd.variable(...) of one")
+            raise InputError(
+                "nu12", nu12, "a finite number, or mbd.variable(...) of one", noun="Ply: nu12", state=f"= {nu12!r}"
+            )
         limit = math.sqrt(number(self.E1) / number(self.E2))
         if abs(nu12) >= limit:
             raise InputError(
-                f"Ply: nu12 = {nu12!r} makes the ply stiffness not positive definite; "
-                f"allowed: |nu12| < sqrt(E1 / E2) = {limit:.6g}"
+                "nu12",
+                nu12,
+                f"|nu12| < sqrt(E1 / E2) = {limit:.6g}",
+                noun="Ply: nu12",
+                state=f"= {nu12!r} makes the ply stiffness not positive definite",
             )
         if not (self.strength is None or isinstance(self.strength, Strength)):
-            raise InputError(f"Ply: strength = {self.strength!r}; allowed: a Strength, or None")
+            raise InputError(
+                "strength", self.strength, "a Strength, or None", noun="Ply: strength", state=f"= {self.strength!r}"
+            )
         numbers = without_variables(self)
         moduli = {name: getattr(numbers, name) for name in ("E1", "E2", "G12", "G13", "G23")}
         warn_unusual_material("Ply", moduli, numbers.density, numbers.strength.Xt if numbers.strength else None)
@@ -170,6 +183,18 @@ def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
     """InputError unless E and nu, or the values of variables, are those of a metal; `most`: the largest nu."""
     ratio, modulus = number(nu), number(E)
     if not (is_real(ratio) and -1.0 < ratio <= most):
-        raise InputError(f"{name}: nu = {ratio!r}; allowed: -1 < nu <= {most:g}, or mbd.variable(...) of such a number")
+        raise InputError(
+            (str(name), "nu"),
+            ratio,
+            f"-1 < nu <= {most:g}, or mbd.variable(...) of such a number",
+            noun=f"{name}: nu",
+            state=f"= {ratio!r}",
+        )
     if not (is_real(modulus) and 0.0 < modulus < math.inf):
-        raise InputError(f"{name}: E = {modulus!r}; allowed: a finite number > 0, or mbd.variable(...) of one")
+        raise InputError(
+            (str(name), "E"),
+            modulus,
+            "a finite number > 0, or mbd.variable(...) of one",
+            noun=f"{name}: E",
+            state=f"= {modulus!r}",
+        )

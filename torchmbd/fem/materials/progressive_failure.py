@@ -172,7 +172,7 @@ def _checked(
     ]
     for name, x in zip(("force", "moment"), both, strict=True):
         if x.shape != (3,) or not x.isfinite().all():
-            raise InputError(f"{name} is {x.tolist()}; allowed: three finite numbers xx, yy, xy")
+            raise InputError(name, x.tolist(), "three finite numbers xx, yy, xy", shown=f"{x.tolist()}")
     loads = torch.cat(both)
     if not loads.any():
         raise InputError("force and moment are zero; allowed: a load that is not")

@@ -75,7 +75,11 @@ class Strength:
         ratio = number(self.interaction)
         if not (is_real(ratio) and -1.0 < ratio < 1.0):
             raise InputError(
-                f"Strength: interaction = {ratio!r}; allowed: -1 < interaction < 1, or mbd.variable(...) of that"
+                "interaction",
+                ratio,
+                "-1 < interaction < 1, or mbd.variable(...) of that",
+                noun="Strength: interaction",
+                state=f"= {ratio!r}",
             )
 
     def numbers(self) -> Float[Tensor, "*lanes 8"]:

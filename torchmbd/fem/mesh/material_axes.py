@@ -61,7 +61,7 @@ def rule_of(mapping: Mapping[str, Any]) -> MaterialAxes:
     rules: dict[str, Callable[..., MaterialAxes]] = {"around": around, "along": along, "in_system": in_system}
     if len(mapping) != 1 or not isinstance(next(iter(mapping.values())), Mapping):
         raise InputError(
-            f"direction = {dict(mapping)!r}: must be one rule with its arguments, such as around: {{axis: ...}}"
+            "direction", dict(mapping), rule="must be one rule with its arguments, such as around: {axis: ...}"
         )
     [(name, arguments)] = mapping.items()
     if name not in rules:
@@ -87,9 +87,9 @@ def in_system(
     """
     A, center = reals("axes", axes), reals("origin", origin)
     if A.shape != (3, 3) or not torch.allclose(A.mT @ A, torch.eye(3, dtype=A.dtype), atol=1e-6):
-        raise InputError(f"axes = {axes!r}: must be three orthonormal columns [3, 3]")
+        raise InputError("axes", axes, rule="must be three orthonormal columns [3, 3]")
     if center.shape != (3,):
-        raise InputError(f"origin = {origin!r}: must be three numbers [m]")
+        raise InputError("origin", origin, rule="must be three numbers [m]")
     if kind not in _KINDS:
         raise unknown("kind", kind, list(_KINDS))
     names = _KINDS[kind]
@@ -118,7 +118,7 @@ def around(axis: Sequence[float] | Tensor, point: Sequence[float] | Tensor = (0.
     """
     z = reals("axis", axis)
     if z.shape != (3,) or not float(z.norm()) > 0.0:
-        raise InputError(f"axis = {axis!r}: must be three numbers, not all zero")
+        raise InputError("axis", axis, rule="must be three numbers, not all zero")
     z = z / z.norm()
     x = torch.eye(3, dtype=z.dtype)[int(z.abs().argmin())]
     x = torch.nn.functional.normalize(x - (x @ z) * z, dim=0)

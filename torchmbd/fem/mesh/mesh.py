@@ -45,7 +45,7 @@ def node_members(kind: str, name: Any, members: Any) -> tuple[int, ...]:
     where = f"node_sets of a {kind}: {name!r}"
     nodes = indices(where, list(members) if isinstance(members, (Sequence, set)) else members)
     if nodes.dim() != 1:
-        raise InputError(f"{where} is {members!r}; allowed: a list of nodes")
+        raise InputError(str(where), members, "a list of nodes")
     return tuple(nodes.tolist())
 
 
@@ -79,7 +79,7 @@ class Mesh:
 
     def __post_init__(self) -> None:
         if not isinstance(self.node_sets, Mapping):
-            raise InputError(f"node_sets of a Mesh is {self.node_sets!r}; allowed: names -> lists of nodes")
+            raise InputError("node_sets", self.node_sets, "names -> lists of nodes", noun="node_sets of a Mesh")
         sets = {str(name): node_members("Mesh", name, members) for name, members in self.node_sets.items()}
         object.__setattr__(self, "nodes", reals("nodes of a Mesh", self.nodes))
         object.__setattr__(self, "node_sets", sets)
@@ -217,7 +217,7 @@ class NodeCloud(Mesh):
     def _check(self) -> None:
         nodes = self.nodes
         if nodes.ndim != 2 or nodes.shape[1] != 3 or not len(nodes) or not bool(torch.isfinite(nodes).all()):
-            raise InputError(f"nodes have shape {tuple(nodes.shape)}; allowed: finite numbers [n, 3]")
+            raise InputError("nodes", nodes, "finite numbers [n, 3]", state=f"have shape {tuple(nodes.shape)}")
         for name, members in {"lines": self.lines.flatten().tolist(), **self.node_sets}.items():
             for k in members:
                 if not 0 <= k < len(nodes):

@@ -96,7 +96,9 @@ def check(mesh: Cells) -> None:
 def _check_nodes(mesh: Cells) -> None:
     nodes = mesh.nodes
     if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
-        raise InputError(f"Mesh: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 2")
+        raise InputError(
+            "nodes", nodes, "[n, 3] with n >= 2", noun="Mesh: nodes", state=f"has shape {tuple(nodes.shape)}"
+        )
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
         k = int(bad[0])
@@ -176,7 +178,7 @@ def _check_orphans(mesh: Cells) -> None:
 def _check_lines(mesh: Cells) -> None:
     lines, n = mesh.lines, len(mesh.nodes)
     if lines.ndim != 2 or lines.shape[1] != 2:
-        raise InputError(f"Mesh: lines has shape {tuple(lines.shape)}; allowed: [k, 2]")
+        raise InputError("lines", lines, "[k, 2]", noun="Mesh: lines", state=f"has shape {tuple(lines.shape)}")
     bad = ((lines < 0) | (lines >= n)).any(dim=1) | (lines[:, 0] == lines[:, 1])
     if bad.any():
         k = int(bad.nonzero()[0])

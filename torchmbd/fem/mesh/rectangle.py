@@ -42,13 +42,17 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     for name, value in (("length", length), ("width", width)):
         positive(f"rectangle: {name}", value, "m")
     if not isinstance(cells, Sequence) or len(cells) != 2 or not all(is_whole(c) and c >= 1 for c in cells):
-        raise InputError(f"rectangle: cells = {cells!r}; allowed: two integers >= 1")
+        raise InputError("cells", cells, "two integers >= 1", noun="rectangle: cells", state=f"= {cells!r}")
     if kind not in KINDS:
         raise unknown("kind", kind, KINDS)
     nx, ny = cells
     if (nx + 1) * (ny + 1) > MOST_NODES:
         raise InputError(
-            f"rectangle: cells = {cells!r} have {(nx + 1) * (ny + 1):,} nodes; allowed: up to {MOST_NODES:,} nodes"
+            "cells",
+            cells,
+            f"up to {MOST_NODES:,} nodes",
+            noun="rectangle: cells",
+            state=f"= {cells!r} have {(nx + 1) * (ny + 1):,} nodes",
         )
     i, j = (a.ravel() for a in np.meshgrid(np.arange(nx + 1), np.arange(ny + 1), indexing="ij"))
     node = (i * (ny + 1) + j if nx >= ny else j * (nx + 1) + i).reshape(nx + 1, ny + 1)

@@ -58,11 +58,13 @@ def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
     freedoms = tuple(indices("interface", list(interface)).tolist())
     for i in freedoms:
         if not 0 <= i < size:
-            raise InputError(f"interface has the freedom {i}; allowed: 0 ... {size - 1}")
+            raise InputError("interface", interface, f"0 ... {size - 1}", state=f"has the freedom {i}")
         if freedoms.count(i) > 1:
-            raise InputError(f"interface has the freedom {i} more than once; allowed: each at most once")
+            raise InputError("interface", interface, "each at most once", state=f"has the freedom {i} more than once")
     if not 0 < len(freedoms) < size:
-        raise InputError(f"interface has {len(freedoms)} of {size} freedoms; allowed: at least one, and not all")
+        raise InputError(
+            "interface", interface, "at least one, and not all", state=f"has {len(freedoms)} of {size} freedoms"
+        )
     return freedoms
 
 

@@ -71,7 +71,9 @@ def craig_bampton(
     size = T.shape[-2]
     held = interface_freedoms(interface, size)
     if not is_whole(n) or not 0 <= n <= size - len(held):
-        raise InputError(f"n = {n!r} fixed-interface modes; allowed: 0 ... {size - len(held)}, the interior freedoms")
+        raise InputError(
+            "n", n, f"0 ... {size - len(held)}, the interior freedoms", state=f"= {n!r} fixed-interface modes"
+        )
     if n:
         inner = modal_basis(interior(K, held, size), interior(M, held, size), n, cluster, more=more)
         width = inner.stiffness.shape[-1]

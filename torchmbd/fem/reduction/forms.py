@@ -145,7 +145,7 @@ def recognize(name: str, matrix: Tensor | SparseMatrix, size: int | None = None)
         needed = "[..., N, N]" if size is None else f"[..., {size}, {size}]"
         raise InputError(f"{name} has shape {tuple(matrix.shape)}; {needed}{diagonal} or a SparseMatrix is needed")
     if size is not None and form.size != size:
-        raise InputError(f"{name} has {form.size} rows; allowed: {size}, the number of rows of K")
+        raise InputError(name, allowed=f"{size}, the number of rows of K", state=f"has {form.size} rows")
     if values.dtype != torch.float64:
         raise InputError(f"{name} has dtype {values.dtype}; torch.float64 is needed")
     return form, values

@@ -43,7 +43,7 @@ class VibrationModes:
 
     def __post_init__(self) -> None:
         if self.interface:
-            raise InputError("interface is given; allowed: none with reduction 'vibration'")
+            raise InputError("interface", allowed="none with reduction 'vibration'", state="is given")
 
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
         return modal_basis(K, M, self.n, updated=self.updated, more=MORE)
@@ -59,7 +59,7 @@ class CraigBampton:
 
     def __post_init__(self) -> None:
         if not self.interface:
-            raise InputError("interface is empty; allowed: at least one node with reduction 'craig-bampton'")
+            raise InputError("interface", allowed="at least one node with reduction 'craig-bampton'", state="is empty")
 
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
         return craig_bampton(K, M, self.n, self.interface, updated=self.updated, more=MORE)

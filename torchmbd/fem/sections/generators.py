@@ -57,7 +57,7 @@ def check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
             raise unknown("wall", name, names)
     counts = {name: count_of_layers(angles[name]) if name in angles else 0 for name in names}
     if len(set(counts.values())) > 1 or 0 in counts.values():
-        raise InputError(f"angles give {counts} plies; allowed: as many plies in {', '.join(names)}")
+        raise InputError("angles", angles, f"as many plies in {', '.join(names)}", state=f"give {counts} plies")
 
 
 def checked_thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np.ndarray:
@@ -66,7 +66,7 @@ def checked_thicknesses(thickness: float | Sequence[float] | Tensor, layers: int
     if t.shape != (layers,) or layers == 0:
         raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
     if not (np.isfinite(t) & (t > 0)).all():
-        raise InputError(f"thickness = {thickness!r}; allowed: finite numbers > 0 [m]")
+        raise InputError("thickness", thickness, "finite numbers > 0 [m]", state=f"= {thickness!r}")
     warn_unusual("thickness", float(t.max()), "m", THICKNESS)
     return t
 
@@ -78,14 +78,14 @@ def check_lengths(**lengths: float | Tensor) -> None:
 
 def check_cells(cells: Sequence[int], count: int, order: int) -> None:
     if not (isinstance(cells, Sequence) and len(cells) == count and all(is_whole(c) and c >= 1 for c in cells)):
-        raise InputError(f"cells = {cells!r}; allowed: {count} integers >= 1")
+        raise InputError("cells", cells, f"{count} integers >= 1", state=f"= {cells!r}")
     check_order(order)
 
 
 def check_order(order: int) -> None:
     """InputError unless elements are linear (1) or quadratic (2)."""
     if order not in (1, 2):
-        raise InputError(f"order = {order!r}; allowed: 1 (linear elements) or 2 (quadratic)")
+        raise InputError("order", order, "1 (linear elements) or 2 (quadratic)", state=f"= {order!r}")
 
 
 Plies = Lamina | Orthotropic | Sequence[Lamina | Orthotropic]

@@ -71,7 +71,13 @@ class SectionMesh:
 
     def _check_nodes(self) -> None:
         if self.nodes.ndim != 2 or self.nodes.shape[1] != 2 or len(self.nodes) < 3:
-            raise InputError(f"SectionMesh: nodes has shape {tuple(self.nodes.shape)}; allowed: [n, 2] with n >= 3")
+            raise InputError(
+                "nodes",
+                self.nodes,
+                "[n, 2] with n >= 3",
+                noun="SectionMesh: nodes",
+                state=f"has shape {tuple(self.nodes.shape)}",
+            )
         bad = (~torch.isfinite(self.nodes)).any(dim=1).nonzero().flatten()
         if len(bad):
             raise InputError(
@@ -80,7 +86,12 @@ class SectionMesh:
         for first, k in repeated_rows(self.nodes.numpy()):
             raise InputError(f"SectionMesh: nodes {first} and {k} share one place; merge them")
         if self.plane_angle is not None and not torch.isfinite(self.plane_angle).all():
-            raise InputError("SectionMesh: plane_angle holds numbers that are not finite; allowed: finite, in rad")
+            raise InputError(
+                "plane_angle",
+                allowed="finite, in rad",
+                noun="SectionMesh: plane_angle",
+                state="holds numbers that are not finite",
+            )
         if self.layer.min() < 0:
             raise InputError(f"SectionMesh: layer {int(self.layer.min())}; allowed: 0 and up")
 

@@ -66,9 +66,12 @@ class Orthotropic:
         scale = normal.diagonal().rsqrt()
         if not float(torch.linalg.eigvalsh(scale[:, None] * normal * scale).min()) > 1e-9:
             raise InputError(
-                f"Orthotropic: nu12 = {numbers.nu12!r}, nu13 = {numbers.nu13!r}, nu23 = {numbers.nu23!r} make the compliance "
-                "not positive definite; allowed: |nu_ij| < sqrt(E_i / E_j), "
-                "and the determinant of the three normal strains positive"
+                "nu12",
+                numbers.nu12,
+                "|nu_ij| < sqrt(E_i / E_j), and the determinant of the three normal strains positive",
+                noun="Orthotropic: nu12",
+                state=f"= {numbers.nu12!r}, nu13 = {numbers.nu13!r}, nu23 = {numbers.nu23!r} make the "
+                "compliance not positive definite",
             )
         moduli = {name: getattr(numbers, name) for name in ("E1", "E2", "E3", "G12", "G13", "G23")}
         warn_unusual_material("Orthotropic", moduli, numbers.density, numbers.strength.Xt if numbers.strength else None)
@@ -93,10 +96,17 @@ class Orthotropic:
         if not isinstance(ply, Lamina):
             raise InputError("ply", ply, "a Ply or an Orthotropic")
         if varies(ply):
-            raise InputError(f"ply is {ply!r}, whose numbers vary; allowed: numbers, or a Section of the ply itself")
+            raise InputError(
+                "ply", ply, "numbers, or a Section of the ply itself", state=f"is {ply!r}, whose numbers vary"
+            )
         if ply.loss:
             raise InputError(
-                f"ply of a section has the loss factor {ply.loss!r}; allowed: 0. Try: damping of the modes of the body"
+                "ply",
+                ply,
+                "0",
+                hint="damping of the modes of the body",
+                noun="ply of a section",
+                state=f"has the loss factor {ply.loss!r}",
             )
         nu23 = ply.E2 / (2.0 * ply.G23) - 1.0
         try:

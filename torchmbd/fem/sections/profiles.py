@@ -143,7 +143,13 @@ def hat_section(
     Walls "left_foot", "left_web", "crown", "right_web", "right_foot". Others as of `c_section`.
     """
     if not number(crown) < number(width):
-        raise InputError(f"hat_section: crown = {number(crown):g} m: must be less than the width {number(width):g} m")
+        raise InputError(
+            "crown",
+            number(crown),
+            rule=f"must be less than the width {number(width):g} m",
+            noun="hat_section: crown",
+            shown=f"{number(crown):g} m",
+        )
 
     def path(t: Any, width: Any, crown: Any, height: Any) -> list[tuple]:
         y, z = (crown - t) / 2, (height - t) / 2
@@ -214,8 +220,12 @@ def _laminates(
         if not walls * total < number(length):
             limit = "the thickness" if walls == 1 else f"{walls} times the thickness"
             raise InputError(
-                f"{kind}: {name} = {number(length):g} m: must be more than {limit} {total:g} m of a wall. "
-                "Try: thinner or fewer plies"
+                (str(kind), name),
+                number(length),
+                rule=f"must be more than {limit} {total:g} m of a wall",
+                hint="thinner or fewer plies",
+                noun=f"{kind}: {name}",
+                shown=f"{number(length):g} m",
             )
     if not isinstance(angles, Mapping):
         return layers, [0] * len(names), ply, angles

@@ -176,7 +176,7 @@ class Section(nn.Module):
         """Recover strains and stresses under (N, V_y, V_z, T, M_y, M_z) [N, N m] at the points of all elements."""
         load = differentiable_reals("force", force, f"[..., 6], {', '.join(FORCES)}")
         if load.shape[-1:] != (6,):
-            raise InputError(f"force has shape {tuple(load.shape)}; allowed: [..., 6], {', '.join(FORCES)}")
+            raise InputError("force", load, f"[..., 6], {', '.join(FORCES)}", state=f"has shape {tuple(load.shape)}")
         _, strain, stress = self.unit_fields()
         load = load[..., None, None, :, None]
         g = self.geometry

@@ -64,11 +64,14 @@ class Event:
     def __post_init__(self) -> None:
         if not callable(self.function) and not hasattr(self.function, "values"):
             raise InputError(
-                f"function of an event is {self.function!r}; allowed: a function motion -> [lanes, times] or a history"
+                "function",
+                self.function,
+                "a function motion -> [lanes, times] or a history",
+                noun="function of an event",
             )
         refuse_lost_gradients("function of an event", self.function, "constant tensors")
         if not isinstance(self.direction, str) or self.direction not in DIRECTIONS:
-            raise InputError(f"direction of an event is {self.direction!r}; allowed: {', '.join(DIRECTIONS)}")
+            raise InputError("direction", self.direction, ", ".join(DIRECTIONS), noun="direction of an event")
 
     def of(self, motion: Trajectory) -> Tensor:
         """The function [lanes, times]; InputError if it returns anything else."""

@@ -113,10 +113,13 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.name = identifier("flexible body", name)
         self.mesh = mesh
         if not isinstance(mesh, (Mesh, BeamLine)):
-            raise InputError(f"mesh of {name!r} is {mesh!r}; allowed: a Mesh or a BeamLine")
+            raise InputError((name, "mesh"), mesh, "a Mesh or a BeamLine", noun=f"mesh of {name!r}")
         if not isinstance(parts, Mapping) or not parts or not all(isinstance(x, Part) for x in parts.values()):
             raise InputError(
-                f"parts of {name!r} is {parts!r}; allowed: names -> parts, such as Plates or Beams, at least one"
+                (name, "parts"),
+                parts,
+                "names -> parts, such as Plates or Beams, at least one",
+                noun=f"parts of {name!r}",
             )
         set_start(self, position, axes)
         interfaces = Interfaces.of(self.name, mesh, interface)
@@ -257,7 +260,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         Others as in `plate`. The inertia of the sections is on rigid arms at the nodes (and middles, if consistent).
         """
         if not isinstance(line, BeamLine):
-            raise InputError(f"line of {name!r} is a {type(line).__name__}; allowed: a BeamLine")
+            raise InputError(
+                (name, "line"), line, "a BeamLine", noun=f"line of {name!r}", state=f"is a {type(line).__name__}"
+            )
         sections: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
         if len(sections) != len(line.elements):
             wrong = f"{len(sections)} sections for {len(line.elements)} elements of {name!r}"

@@ -137,7 +137,9 @@ class FlexibleBeam(ExactBeam):
         """
         number = self.mesh.node(node) if isinstance(node, str) else node
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(self.node_bodies):
-            raise InputError(f"node of {self.name!r} is {node!r}; allowed: a name, or 0 to {len(self.node_bodies) - 1}")
+            raise InputError(
+                (self.name, "node"), node, f"a name, or 0 to {len(self.node_bodies) - 1}", noun=f"node of {self.name!r}"
+            )
         return self.node_bodies[number].at(axes=axes)
 
     def structure(self) -> Structure:

@@ -64,7 +64,7 @@ class Frame:
 
     def __post_init__(self) -> None:
         if not all(hasattr(self.body, name) for name in ("name", "position", "axes", "at")):
-            raise InputError(f"body of a Frame is {self.body!r}; allowed: a body or the ground, as body.at(...) has it")
+            raise InputError("body", self.body, "a body or the ground, as body.at(...) has it", noun="body of a Frame")
         refuse_gradients(f"a frame on {self.body.name!r}", (self.point, self.axes))
         object.__setattr__(self, "point", vector(f"point of a Frame on {self.body.name!r}", self.point))
         object.__setattr__(self, "axes", rotation(f"axes of a Frame on {self.body.name!r}", self.axes))
@@ -154,10 +154,10 @@ def frame_at(
 
 def _three_numbers(name: str, x: Any, allowed: str) -> Tensor:
     if not isinstance(x, (tuple, list, Tensor)) or len(x) != 3:
-        raise InputError(f"{name} is {x!r}; allowed: {allowed}")
+        raise InputError(name, x, f"{allowed}")
     result = read_numbers(name, [number(y) for y in x], allowed)
     if result.shape != (3,) or not bool(torch.isfinite(result).all()):
-        raise InputError(f"{name} is {x!r}; allowed: {allowed}")
+        raise InputError(name, x, f"{allowed}")
     return result
 
 
@@ -174,14 +174,14 @@ def read_numbers(name: str, x: Any, allowed: str) -> Tensor:
     try:
         return torch.as_tensor(x, dtype=torch.float64).detach().clone()
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(f"{name} is {x!r}; allowed: {allowed}") from error
+        raise InputError(name, x, f"{allowed}") from error
 
 
 def vector(name: str, x: Sequence[float] | Tensor) -> Tensor:
     """Read three finite numbers as a vector [3]; InputError names the argument."""
     result = read_numbers(name, x, "three finite numbers")
     if result.shape != (3,) or not bool(torch.isfinite(result).all()):
-        raise InputError(f"{name} is {x!r}; allowed: three finite numbers")
+        raise InputError(name, x, "three finite numbers")
     return result
 
 
@@ -205,13 +205,14 @@ def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
     A = read_numbers(name, axes, "a 3 x 3 rotation matrix with the axes as columns")
     if A.shape != (3, 3):
         raise InputError(
-            f"{name} has shape {tuple(A.shape)}; allowed: a 3 x 3 rotation matrix with the axes as columns"
+            name, A, "a 3 x 3 rotation matrix with the axes as columns", state=f"has shape {tuple(A.shape)}"
         )
     error = float((A.T @ A - torch.eye(3, dtype=torch.float64)).abs().max())
     if not error < 1e-9 or float(torch.linalg.det(A)) < 0:
         raise InputError(
-            f"{name} is not a rotation: |A'A - 1| = {error:.1e}, det A = {float(torch.linalg.det(A)):.3f}; "
-            "allowed: orthonormal columns that form a right-handed triad"
+            name,
+            allowed="orthonormal columns that form a right-handed triad",
+            state=f"is not a rotation: |A'A - 1| = {error:.1e}, det A = {float(torch.linalg.det(A)):.3f}",
         )
     return A
 
@@ -265,7 +266,7 @@ def set_modal_start(body: Any, *start_values: Sequence[float] | Tensor | None) -
         )
         values = read_numbers(name, plain, allowed)
         if values.dim() != 1 or len(values) not in counts or not bool(torch.isfinite(values).all()):
-            raise InputError(f"{name} is {x!r}; allowed: {allowed}")
+            raise InputError(name, x, f"{allowed}")
         register(body, key, parameter(name, x) if isinstance(x, nn.Parameter) else values)
     body.modal_start_given = any(x is not None for x in start_values)
 

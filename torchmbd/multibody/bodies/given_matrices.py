@@ -109,7 +109,13 @@ def mesh_of(
         lines = torch.empty(0, 2, dtype=torch.long) if lines is None else lines
         return NodeCloud(positions, node_sets=node_sets or {}, lines=lines)
     if node_sets is not None:
-        raise InputError(f"node_sets of {name!r} are given beside a Mesh; allowed: those of the mesh, or nodes [n, 3]")
+        raise InputError(
+            (name, "node_sets"),
+            node_sets,
+            "those of the mesh, or nodes [n, 3]",
+            noun=f"node_sets of {name!r}",
+            state="are given beside a Mesh",
+        )
     return nodes
 
 
@@ -118,16 +124,16 @@ def _labeled(label: str, matrix: Any) -> LabeledMatrix:
     if isinstance(matrix, LabeledMatrix):
         read = matrix
     elif isinstance(matrix, (str, Path)):
-        raise InputError(f"{label} is {str(matrix)!r}; allowed: numbers, such as mbd.read_matrix reads from a file")
+        raise InputError(label, str(matrix), "numbers, such as mbd.read_matrix reads from a file")
     elif scipy.sparse.issparse(matrix):
         read = LabeledMatrix(scipy.sparse.csr_array(matrix, dtype=np.float64))
     else:
         dense = reals(label, matrix)
         if dense.dim() != 2:
-            raise InputError(f"{label} has shape {tuple(dense.shape)}; allowed: a square matrix")
+            raise InputError(label, dense, "a square matrix", state=f"has shape {tuple(dense.shape)}")
         read = LabeledMatrix(scipy.sparse.csr_array(dense.detach().numpy()))
     if not np.isfinite(read.matrix.data).all():
-        raise InputError(f"{label} has entries that are not finite; allowed: finite numbers")
+        raise InputError(label, allowed="finite numbers", state="has entries that are not finite")
     return read
 
 
@@ -155,11 +161,23 @@ def _positions(name: str, nodes: Any, read: Sequence[LabeledMatrix]) -> tuple[li
             labels = sorted(int(label) for label in nodes)
             positions = np.array([list(nodes[label]) for label in labels], dtype=float).reshape(len(labels), 3)
         except (TypeError, ValueError, KeyError):
-            raise InputError(f"nodes of {name!r} are {nodes!r}; allowed: a number -> three coordinates") from None
+            raise InputError(
+                (name, "nodes"),
+                nodes,
+                "a number -> three coordinates",
+                noun=f"nodes of {name!r}",
+                state=f"are {nodes!r}",
+            ) from None
         return labels, reals(f"nodes of {name!r}", positions)
     x = nodes.nodes.detach() if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes)
     if x.dim() != 2 or x.shape[1] != 3 or not len(x):
-        raise InputError(f"nodes of {name!r} have shape {tuple(x.shape)}; allowed: [n, 3], or label -> place")
+        raise InputError(
+            (name, "nodes"),
+            x,
+            "[n, 3], or label -> place",
+            noun=f"nodes of {name!r}",
+            state=f"have shape {tuple(x.shape)}",
+        )
     labels = sorted({label for matrix in read if matrix.rows is not None for label, _ in matrix.rows})
     if labels and len(labels) != len(x):
         raise InputError(f"matrices of {name!r} refer to {len(labels)} nodes; allowed: {len(x)}, the nodes given")
@@ -190,10 +208,16 @@ def _freedoms(
         pairs = [(int(node), COMPONENTS.index(c) if isinstance(c, str) else int(c)) for node, c in freedoms]
     except (TypeError, ValueError):
         raise InputError(
-            f"freedoms of {name!r} is {freedoms!r}; allowed: 3, 6, or (node, component) of each row"
+            (name, "freedoms"), freedoms, "3, 6, or (node, component) of each row", noun=f"freedoms of {name!r}"
         ) from None
     if len(set(pairs)) != len(pairs) or any(not (0 <= k < n and 0 <= c < 6) for k, c in pairs) or len(pairs) != size:
-        raise InputError(f"freedoms of {name!r} are {len(pairs)}; allowed: {size} different ones, nodes 0 to {n - 1}")
+        raise InputError(
+            (name, "freedoms"),
+            len(pairs),
+            f"{size} different ones, nodes 0 to {n - 1}",
+            noun=f"freedoms of {name!r}",
+            state=f"are {len(pairs)}",
+        )
     return torch.tensor([6 * k + c for k, c in pairs], dtype=torch.long)
 
 
@@ -219,8 +243,11 @@ def _symmetric(name: str, key: str, pattern: Pattern, values: Tensor) -> Tensor:
     if len(values) and float(difference[worst]) > SYMMETRY * float(values.abs().max()):
         i, j = int(pattern.rows[worst]), int(pattern.cols[worst])
         raise InputError(
-            f"{key} of {name!r} is not symmetric: {float(values[worst]):.9g} between {freedom(i)} and {freedom(j)}, "
-            f"{float(values[pattern.transposed[worst]]):.9g} the other way; allowed: symmetric to 1e-9"
+            (name, key),
+            allowed="symmetric to 1e-9",
+            noun=f"{key} of {name!r}",
+            state=f"is not symmetric: {float(values[worst]):.9g} between {freedom(i)} and {freedom(j)}, "
+            f"{float(values[pattern.transposed[worst]]):.9g} the other way",
         )
     return 0.5 * (values + values[pattern.transposed])
 

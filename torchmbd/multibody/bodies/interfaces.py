@@ -52,7 +52,9 @@ class Interface:
     def __post_init__(self) -> None:
         true_or_false("rigid of an Interface", self.rigid)
         if self.rigid and self.weights is not None:
-            raise InputError("weights of an Interface are given, and it is rigid; allowed: one of both")
+            raise InputError(
+                "weights", allowed="one of both", noun="weights of an Interface", state="are given, and it is rigid"
+            )
 
 
 @dataclass

@@ -29,7 +29,13 @@ class _Linear(nn.Module):
         self._derivatives: list[Any] = []
         for key, item in derivatives.items():
             if not isinstance(key, str) or not key.isidentifier() or hasattr(self, key):
-                raise InputError(f"derivatives of {name!r} has the name {key!r}; allowed: a Python identifier")
+                raise InputError(
+                    (name, "derivatives"),
+                    derivatives,
+                    "a Python identifier",
+                    noun=f"derivatives of {name!r}",
+                    state=f"has the name {key!r}",
+                )
             if not isinstance(item, (tuple, list)) or len(item) != 3:
                 raise InputError(f"derivatives of {name!r}: {key!r} is {item!r}; allowed: (value, dM, dK)")
             value, dM, dK = item
@@ -119,11 +125,15 @@ def matrix_source(name: str, M: Any, K: Any, derivatives: Any, parameters: Any) 
     """The matrices as a function of the design, for arguments of `FlexibleBody.from_matrices`; None: they are constant."""
     if not isinstance(M, nn.Module) and not (callable(M) and not isinstance(M, Tensor)):
         if K is None or parameters is not None:
-            raise InputError(f"K of {name!r} is {K!r}, parameters {parameters!r}; allowed: matrices M and K")
+            raise InputError(
+                (name, "K"), K, "matrices M and K", noun=f"K of {name!r}", state=f"is {K!r}, parameters {parameters!r}"
+            )
         return _Linear(name, M, K, derivatives) if derivatives else None
     if K is not None or derivatives:
         raise InputError(f"K and derivatives of {name!r} are given beside {M!r}; allowed: a module alone makes both")
     if isinstance(M, nn.Module) == (parameters is not None):
-        raise InputError(f"parameters of {name!r} is {parameters!r}; allowed: those of a function, none for a module")
+        raise InputError(
+            (name, "parameters"), parameters, "those of a function, none for a module", noun=f"parameters of {name!r}"
+        )
     function: Any = M
     return _DenseMatrices(name, M if isinstance(M, nn.Module) else _Function(function, parameters))

@@ -140,20 +140,31 @@ class MatrixStructure:
         for node in nodes:
             if node in self.reference or nodes.count(node) > 1:
                 allowed = "nodes that are no reference, each once"
-                raise InputError(f"interface of {self.name!r} has node {node}; allowed: {allowed}")
+                raise InputError(
+                    (self.name, "interface"),
+                    interface,
+                    f"{allowed}",
+                    noun=f"interface of {self.name!r}",
+                    state=f"has node {node}",
+                )
         rows = torch.isin(self.free // 6, torch.tensor(nodes, dtype=torch.long)).nonzero()[:, 0].tolist()
         kind = ("craig-bampton" if rows else "vibration") if kind is None else kind
         if kind not in REDUCTIONS:
             raise unknown(f"reduction of {self.name!r}:", kind, REDUCTIONS)
         most = len(self.free) - len(rows)
         if not (0 if rows else 1) <= int(modes) <= most:
-            raise InputError(f"modes of {self.name!r} is {modes!r}; allowed: a whole number up to {most}, or shapes")
+            raise InputError(
+                (self.name, "modes"), modes, f"a whole number up to {most}, or shapes", noun=f"modes of {self.name!r}"
+            )
         for key, A in (("M", M), ("K", K)):
             bad = self.free[_diagonal(A)[self.free] <= 0]
             if len(bad):
                 raise InputError(
-                    f"{key} of {self.name!r} is not positive definite: {float(_diagonal(A)[bad[0]]):g} at "
-                    f"{freedom(int(bad[0]))} ({len(bad)} freedoms are so); allowed: mass and stiffness at every freedom"
+                    (self.name, key),
+                    allowed="mass and stiffness at every freedom",
+                    noun=f"{key} of {self.name!r}",
+                    state=f"is not positive definite: {float(_diagonal(A)[bad[0]]):g} at {freedom(int(bad[0]))} ("
+                    f"{len(bad)} freedoms are so)",
                 )
         try:
             reduction = REDUCTIONS[kind](int(modes), tuple(rows), updated)
@@ -166,8 +177,12 @@ class MatrixStructure:
         scale = float((_diagonal(K)[self.free] / _diagonal(M)[self.free]).max())
         if not float(lowest[0]) > 1e-12 * scale:
             raise InputError(
-                f"K of {self.name!r} is not positive definite with the reference held: a mode has the eigenvalue "
-                f"{float(lowest[0]):g} 1/s2; allowed: an elastic body in one piece"
+                (self.name, "K"),
+                K,
+                "an elastic body in one piece",
+                noun=f"K of {self.name!r}",
+                state="is not positive definite with the reference held: a mode has the eigenvalue "
+                f"{float(lowest[0]):g} 1/s2",
             )
 
     def _check_rigid(self, M: SparseMatrix, K: SparseMatrix, rigid: Tensor) -> None:
@@ -187,7 +202,11 @@ class MatrixStructure:
         masses = torch.einsum("ni,ni->i", rigid[:, :3], M @ rigid[:, :3])
         if not float(masses.min()) > 0 or float(masses.max() - masses.min()) > ISOTROPIC * float(masses.max()):
             raise InputError(
-                f"M of {self.name!r} has the masses {masses.tolist()} kg along x, y, z; allowed: the same along all, > 0"
+                (self.name, "M"),
+                M,
+                "the same along all, > 0",
+                noun=f"M of {self.name!r}",
+                state=f"has the masses {masses.tolist()} kg along x, y, z",
             )
 
     def _held(self, M: SparseMatrix, reference: Any) -> tuple[list[int], list[int]]:
@@ -203,8 +222,11 @@ class MatrixStructure:
             held = [6 * k + i for k in nodes for i in range(6) if present[6 * k + i]]
             if not nodes or torch.linalg.matrix_rank(rigid[held], rtol=1e-9) < 6:
                 raise InputError(
-                    f"reference of {self.name!r} is {reference!r}, and does not hold the body; allowed: a node with "
-                    "rotations, or three at least that are not on a line"
+                    (self.name, "reference"),
+                    reference,
+                    "a node with rotations, or three at least that are not on a line",
+                    noun=f"reference of {self.name!r}",
+                    state=f"is {reference!r}, and does not hold the body",
                 )
             return nodes, held
         T, moments = rigid_motions(x)[:, :3], rigid_motions(x)
@@ -234,7 +256,11 @@ class MatrixStructure:
         rows = len(self.matrices.freedoms)
         if shapes.dim() != 2 or shapes.shape[0] != rows or not 0 < shapes.shape[1] <= rows:
             raise InputError(
-                f"modes of {self.name!r} have shape {tuple(shapes.shape)}; allowed: a number, or shapes [{rows}, m]"
+                (self.name, "modes"),
+                shapes,
+                f"a number, or shapes [{rows}, m]",
+                noun=f"modes of {self.name!r}",
+                state=f"have shape {tuple(shapes.shape)}",
             )
         full = torch.zeros(6 * len(self.mesh.nodes), shapes.shape[1], dtype=torch.float64)
         full[self.matrices.freedoms] = shapes.detach()

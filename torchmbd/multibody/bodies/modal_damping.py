@@ -59,7 +59,13 @@ class ModalDamping(nn.Module):
         allowed = "zero or positive, or mbd.variable(...) of such a number"
         value = scalar(f"{label} of {self.body!r}", number(x), allowed, f" {unit}")
         if value < 0.0:
-            raise InputError(f"{label} of {self.body!r} is {value!r} {unit}; allowed: {allowed}")
+            raise InputError(
+                (str(self.body), label),
+                value,
+                f"{allowed}",
+                noun=f"{label} of {self.body!r}",
+                shown=f"{value!r} {unit}",
+            )
         return x if is_variable(x) else value
 
     def with_ratios(self, ratio: float | Sequence[float] | Tensor, modes: range, rate: float | Tensor = 0.0) -> Self:
@@ -76,7 +82,7 @@ class ModalDamping(nn.Module):
         values: Any = plain if several else [plain]
         numbers = [scalar(name, z, allowed) for z in values]
         if (several and len(numbers) not in modes) or not all(0.0 <= z < 1.0 for z in numbers):
-            raise InputError(f"{name} is {plain!r}; allowed: {allowed}")
+            raise InputError(name, plain, f"{allowed}")
         self.rate, self._shared = self._number("damping rate", rate, "1/s"), not several
         if "ratios" in self.__dict__:
             del self.ratios

@@ -59,7 +59,7 @@ def reduced(
     least, most = 0 if held else 1, len(free) - len(held)
     if not is_whole(modes) or not least <= modes <= most:
         allowed = f"a whole number, {least} to {most}, the freedoms of the mesh"
-        raise InputError(f"modes of {name!r} is {modes!r}; allowed: {allowed}")
+        raise InputError((name, "modes"), modes, f"{allowed}", noun=f"modes of {name!r}")
     updated = true_or_false(f"updated of {name!r}", updated)
     if kind not in REDUCTIONS:
         raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
@@ -92,13 +92,18 @@ def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence
     for node in interface:
         if node in reference or list(interface).count(node) > 1:
             allowed = "nodes that are no reference, each once"
-            raise InputError(f"interface of {name!r} has node {node}; allowed: {allowed}")
+            raise InputError(
+                (name, "interface"), interface, f"{allowed}", noun=f"interface of {name!r}", state=f"has node {node}"
+            )
     freedoms = torch.tensor([6 * node + i for node in interface for i in range(6)], dtype=torch.long)
     bound = freedoms[~torch.isin(freedoms, free)]
     if len(bound):
         node, i = divmod(int(bound[0]), 6)
         raise InputError(
-            f"interface of {name!r} has node {node}, whose component {i} follows others by a link or has no stiffness; "
-            "allowed: nodes with six free components, such as the leader of a link"
+            (name, "interface"),
+            interface,
+            "nodes with six free components, such as the leader of a link",
+            noun=f"interface of {name!r}",
+            state=f"has node {node}, whose component {i} follows others by a link or has no stiffness",
         )
     return tuple(torch.searchsorted(free, freedoms).tolist())

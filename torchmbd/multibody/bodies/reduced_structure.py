@@ -85,17 +85,31 @@ class ReducedStructure:
         A = reals(f"{key} of {self.name!r}", matrix).detach()
         if A.shape != (self.size, self.size) or not bool(torch.isfinite(A).all()):
             raise InputError(
-                f"{key} of {self.name!r} has shape {tuple(A.shape)}; allowed: [{self.size}, {self.size}], finite"
+                (self.name, key),
+                A,
+                f"[{self.size}, {self.size}], finite",
+                noun=f"{key} of {self.name!r}",
+                state=f"has shape {tuple(A.shape)}",
             )
         if float((A - A.T).abs().max()) > NORMAL * float(A.abs().max()):
-            raise InputError(f"{key} of {self.name!r} is not symmetric: {A.tolist()}; allowed: symmetric to 1e-9")
+            raise InputError(
+                (self.name, key),
+                allowed="symmetric to 1e-9",
+                noun=f"{key} of {self.name!r}",
+                state=f"is not symmetric: {A.tolist()}",
+            )
         return 0.5 * (A + A.T)
 
     def _symmetric_cube(self, cube: Any) -> Float[Tensor, "m m m"]:
         K2 = reals(f"K2 of {self.name!r}", cube).detach()
         if K2.shape != (self.size,) * 3 or not bool(torch.isfinite(K2).all()):
             shape = tuple(K2.shape)
-            raise InputError(f"K2 of {self.name!r} has shape {shape}; allowed: {(self.size,) * 3}, finite")
+            raise InputError(
+                (self.name, "K2"),
+                allowed=f"{(self.size,) * 3}, finite",
+                noun=f"K2 of {self.name!r}",
+                state=f"has shape {shape}",
+            )
         if max(float((K2 - K2.transpose(0, k)).abs().max()) for k in (1, 2)) > NORMAL * float(K2.abs().max()):
             raise InputError(
                 f"K2 of {self.name!r} changes with the order of its axes; allowed: derivatives of an energy"
@@ -104,7 +118,7 @@ class ReducedStructure:
 
     def _invariants(self, numbers: Mapping[str, Any]) -> dict[str, Tensor]:
         if not isinstance(numbers, Mapping):
-            raise InputError(f"invariants of {self.name!r} is {numbers!r}; allowed: name -> numbers")
+            raise InputError((self.name, "invariants"), numbers, "name -> numbers", noun=f"invariants of {self.name!r}")
         values = dict(numbers)
         if "J" in values:
             J = reals(f"J of {self.name!r}", values.pop("J"))
@@ -116,10 +130,21 @@ class ReducedStructure:
         for key, axes in SHAPES.items():
             shape = tuple(self.size if n == "m" else int(n) for n in axes)
             if key not in values and key not in _OPTIONAL:
-                raise InputError(f"invariants of {self.name!r} lack {key!r}; allowed: all of {', '.join(SHAPES)}")
+                raise InputError(
+                    (self.name, "invariants"),
+                    allowed=f"all of {', '.join(SHAPES)}",
+                    noun=f"invariants of {self.name!r}",
+                    state=f"lack {key!r}",
+                )
             x = reals(f"{key} of {self.name!r}", values.get(key, np.zeros(shape))).detach()
             if x.shape != shape or not bool(torch.isfinite(x).all()):
-                raise InputError(f"{key} of {self.name!r} has shape {tuple(x.shape)}; allowed: {shape}, finite")
+                raise InputError(
+                    (self.name, key),
+                    x,
+                    f"{shape}, finite",
+                    noun=f"{key} of {self.name!r}",
+                    state=f"has shape {tuple(x.shape)}",
+                )
             invariants[key] = x
         return invariants
 
@@ -155,7 +180,12 @@ class ReducedStructure:
         }
         for key, value in lowest.items():
             if not value > (0.0 if key != "inertia about the origin" else -1e-12 * float(J.abs().max())):
-                raise InputError(f"{key} of {self.name!r} is not positive definite: {value:g}; allowed: positive")
+                raise InputError(
+                    (self.name, key),
+                    allowed="positive",
+                    noun=f"{key} of {self.name!r}",
+                    state=f"is not positive definite: {value:g}",
+                )
 
 
 def _shapes(name: str, n: int, modes: Any) -> Float[Tensor, "n 6 m"]:
@@ -165,7 +195,11 @@ def _shapes(name: str, n: int, modes: Any) -> Float[Tensor, "n 6 m"]:
         psi = psi.unflatten(0, (n, -1))
     if psi.dim() != 3 or psi.shape[0] != n or psi.shape[1] not in (3, 6) or not bool(torch.isfinite(psi).all()):
         raise InputError(
-            f"modes of {name!r} have shape {tuple(psi.shape)}; allowed: [{n}, 6, m], or [{n}, 3, m] of displacements"
+            (name, "modes"),
+            psi,
+            f"[{n}, 6, m], or [{n}, 3, m] of displacements",
+            noun=f"modes of {name!r}",
+            state=f"have shape {tuple(psi.shape)}",
         )
     return torch.cat([psi, psi.new_zeros(n, 6 - psi.shape[1], psi.shape[2])], dim=1)
 
@@ -174,7 +208,7 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping
     """Write a reduced body to an .npz file; nodes are measured from the origin of its frame."""
     path = Path(path)
     if path.suffix != ".npz":
-        raise InputError(f"path = {str(path)!r}; allowed: a name that ends in .npz")
+        raise InputError("path", str(path), "a name that ends in .npz", state=f"= {str(path)!r}")
     if "F1" in structure:
         raise InputError("the body has stiffening, which no file of reduced bodies holds; allowed: stiffening=False")
     if structure["Kr"].dim() > 2:
@@ -193,7 +227,9 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping
 def read_reduced(name: str, path: str | Path) -> ReducedStructure:
     """Read a file of `save_reduced`; InputError for other files."""
     if not Path(path).is_file():
-        raise InputError(f"nodes of {name!r} is {str(path)!r}; allowed: a file of save_reduced that exists, or numbers")
+        raise InputError(
+            (name, "nodes"), str(path), "a file of save_reduced that exists, or numbers", noun=f"nodes of {name!r}"
+        )
     try:
         with np.load(path, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
@@ -215,5 +251,5 @@ def read_reduced(name: str, path: str | Path) -> ReducedStructure:
         raise (
             error
             if isinstance(error, InputError)
-            else InputError(f"{Path(path).name} is not a reduced body: {error}; allowed: a file of save_reduced")
+            else InputError(Path(path).name, allowed="a file of save_reduced", state=f"is not a reduced body: {error}")
         ) from None

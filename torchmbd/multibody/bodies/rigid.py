@@ -152,7 +152,11 @@ class RigidBody(nn.Module):
 def _scalar(name: str, mass: nn.Parameter) -> nn.Parameter:
     if mass.dim():
         raise InputError(
-            f"mass of {name!r} is a Parameter of shape {tuple(mass.shape)}; allowed: [], as mbd.variable(...)"
+            (name, "mass"),
+            mass,
+            "[], as mbd.variable(...)",
+            noun=f"mass of {name!r}",
+            state=f"is a Parameter of shape {tuple(mass.shape)}",
         )
     return parameter(f"mass of {name!r}", mass)
 
@@ -164,12 +168,15 @@ def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
     )
     J = torch.diag(J) if J.shape == (3,) else J
     if J.shape != (3, 3) or not bool(torch.isfinite(J).all()) or not torch.allclose(J, J.T, rtol=1e-12, atol=0):
-        raise InputError(f"inertia of {name!r} is {inertia!r}; allowed: {allowed}")
+        raise InputError((name, "inertia"), inertia, f"{allowed}", noun=f"inertia of {name!r}")
     principal = torch.linalg.eigvalsh(J)
     # A body of positive mass has J1 + J2 >= J3; a rod has J1 = 0 and a driven body may have none at all.
     if float(principal[0]) < 0 or float(principal[0] + principal[1] - principal[2]) < -1e-12 * float(principal[2]):
         raise InputError(
-            f"inertia of {name!r} has the principal values {principal.tolist()} kg m2; "
-            "allowed: none negative, the sum of any two at least the third"
+            (name, "inertia"),
+            inertia,
+            "none negative, the sum of any two at least the third",
+            noun=f"inertia of {name!r}",
+            state=f"has the principal values {principal.tolist()} kg m2",
         )
     return J

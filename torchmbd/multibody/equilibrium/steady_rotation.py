@@ -83,7 +83,7 @@ class SteadyRotation:
         if spin is None:
             if bool(middle.any()) or observer != TURNING:
                 name, x = ("center", center) if bool(middle.any()) else ("observer", observer)
-                raise InputError(f"{name} is {x!r} without a spin; allowed: with spin=(...)")
+                raise InputError(name, x, "with spin=(...)", state=f"is {x!r} without a spin")
             return None
         allowed = "three finite numbers, or three for each lane"
         x = differentiable_reals("spin", spin, allowed)

@@ -66,7 +66,11 @@ class _Stop(_Contact):
         values = [float(number(getattr(module, side))) for side in limits]
         if values != sorted(values):
             raise InputError(
-                f"lower of {self.name!r} is {values[0]:g}, upper {values[1]:g}; allowed: lower below upper"
+                (self.name, "lower"),
+                values[0],
+                "lower below upper",
+                noun=f"lower of {self.name!r}",
+                shown=f"{values[0]:g}, upper {values[1]:g}",
             )
         self.width, self.middle = values[-1] - values[0], 0.5 * (values[0] + values[-1])
         self.control = StopControl(self.name, module, list(limits), self.between)
@@ -121,8 +125,11 @@ class RotationalStop(_Stop):
         super().__init__(a, b, axis, **arguments)
         if self.width > MOST_TURN:
             raise InputError(
-                f"limits of {self.name!r} are {self.width:.4g} rad apart; allowed: at most {MOST_TURN:.4g} rad, because an "
-                "angle is known only up to a whole turn"
+                (self.name, "limits"),
+                self.width,
+                f"at most {MOST_TURN:.4g} rad, because an angle is known only up to a whole turn",
+                noun=f"limits of {self.name!r}",
+                state=f"are {self.width:.4g} rad apart",
             )
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:

@@ -67,7 +67,10 @@ class ContactNumbers(nn.Module):
             if number(x) < least or (name in _POSITIVE and not number(x) > 0.0):
                 allowed = "a positive number" if name in _POSITIVE else f"{least:g} or more"
                 raise InputError(
-                    f"{name} of {owner!r} is {number(x)!r}; allowed: {allowed}, or mbd.variable(...) of such a number"
+                    (str(owner), name),
+                    number(x),
+                    f"{allowed}, or mbd.variable(...) of such a number",
+                    noun=f"{name} of {owner!r}",
                 )
             if is_variable(x):
                 self.register_parameter(name, x)

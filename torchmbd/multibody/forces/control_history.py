@@ -33,16 +33,21 @@ class ControlHistory(nn.Module):
     def __init__(self, values: Any, duration: float, kind: str = "linear"):
         super().__init__()
         if kind not in _KINDS:
-            raise InputError(f"kind of a ControlHistory is {kind!r}; allowed: {', '.join(map(repr, _KINDS))}")
+            raise InputError("kind", kind, ", ".join(map(repr, _KINDS)), noun="kind of a ControlHistory")
         values = parameter("values", values)
         least = 2 if kind == "linear" else 1
         if values.dim() != 2 or values.shape[0] < least or not values.shape[1]:
             raise InputError(
-                f"values of a ControlHistory have shape {list(values.shape)}; "
-                f"allowed: [times, actuators], {least} times or more"
+                "values",
+                values,
+                f"[times, actuators], {least} times or more",
+                noun="values of a ControlHistory",
+                state=f"have shape {list(values.shape)}",
             )
         if not bool(torch.isfinite(values).all()):
-            raise InputError("values of a ControlHistory are not all finite; allowed: finite numbers")
+            raise InputError(
+                "values", values, "finite numbers", noun="values of a ControlHistory", state="are not all finite"
+            )
         self.values, self.kind = values, kind
         self.duration = positive("duration", duration, "s")
 

@@ -53,11 +53,13 @@ class Controller(ForceElement):
         self, module: nn.Module, inputs: Sequence[Signal], outputs: Sequence[Actuator], name: str = "controller"
     ):
         if not isinstance(module, nn.Module):
-            raise InputError(f"module of a Controller is {module!r}; allowed: a torch.nn.Module")
+            raise InputError("module", module, "a torch.nn.Module", noun="module of a Controller")
         self.inputs = list_of("inputs", inputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
         self.outputs = list_of("outputs", outputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
         if not self.outputs:
-            raise InputError(f"outputs of {name!r} is empty; allowed: at least one actuator")
+            raise InputError(
+                (name, "outputs"), outputs, "at least one actuator", noun=f"outputs of {name!r}", state="is empty"
+            )
         frames = tuple(frame for x in self.outputs for frame in x.frames)
         super().__init__(tuple(frame for frame in frames if not isinstance(frame.body, Ground))[:1], name)
         self.frames, self.measured = frames, tuple(frame for x in self.inputs for frame in x.frames)
@@ -96,12 +98,14 @@ def _check(control: Control) -> None:
             u = _called(control, at)
             if not bool(torch.isfinite(u).all()):
                 raise InputError(
-                    f"{control.label} gives {u.tolist()[0]} at inputs {at.tolist()[0]}, t = 0; allowed: finite"
+                    control.label, allowed="finite", state=f"gives {u.tolist()[0]} at inputs {at.tolist()[0]}, t = 0"
                 )
         if not torch.equal(u, _called(control, x)):
             raise InputError(
-                f"{control.label} gives other numbers when it is called again with the same inputs; "
-                "allowed: the same numbers. Try: .eval()"
+                control.label,
+                allowed="the same numbers",
+                hint=".eval()",
+                state="gives other numbers when it is called again with the same inputs",
             )
         _check_gradients(control, x)
 
@@ -116,12 +120,14 @@ def _check_gradients(control: Control, x: Tensor) -> None:
     lost = [name for name, slope in zip(parameters, by[1:], strict=True) if slope is None]
     if lost:
         raise InputError(
-            f"{control.label} gives its parameters {', '.join(map(repr, lost))} no gradient: its output at t = 0 is detached "
-            "from them; allowed: an output that depends on them, or requires_grad_(False)"
+            control.label,
+            allowed="an output that depends on them, or requires_grad_(False)",
+            state=f"gives its parameters {', '.join(map(repr, lost))} no gradient: its output at t = 0 is "
+            "detached from them",
         )
     if by[0] is None and control.inputs and not torch.allclose(u, _called(control, x + 1e-6), rtol=1e-12, atol=0.0):
         raise InputError(
-            f"{control.label} gives an output that is detached from its inputs; allowed: torch operations on them"
+            control.label, allowed="torch operations on them", state="gives an output that is detached from its inputs"
         )
 
 

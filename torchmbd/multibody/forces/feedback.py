@@ -79,7 +79,7 @@ class Control:
         """InputError where parameters require a gradient and the output u has none."""
         if torch.is_grad_enabled() and p.requires_grad and not u.requires_grad:
             raise InputError(
-                f"{self.label} gives a detached tensor{_at(t)}; allowed: one that depends on its parameters"
+                self.label, allowed="one that depends on its parameters", state=f"gives a detached tensor{_at(t)}"
             )
 
     def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:
@@ -120,7 +120,9 @@ class Control:
         if not isinstance(u, Tensor) or u.shape != (lanes, self.outputs) or u.dtype != torch.float64:
             shown = f"{u.dtype} {list(u.shape)}" if isinstance(u, Tensor) else repr(u)
             raise InputError(
-                f"{self.label} gives {shown}{_at(t)}; allowed: torch.float64 [{lanes}, {self.outputs}] ([lanes, outputs])"
+                self.label,
+                allowed=f"torch.float64 [{lanes}, {self.outputs}] ([lanes, outputs])",
+                state=f"gives {shown}{_at(t)}",
             )
 
 

@@ -95,7 +95,9 @@ class Table:
         knots = reals("knots", self.knots)
         rising = knots.dim() == 2 and len(knots) > 1 and knots.shape[1] == 2 and bool((knots[:, 0].diff() > 0).all())
         if not rising or not bool(torch.isfinite(knots).all()):
-            raise InputError(f"knots are {self.knots!r}; allowed: two or more pairs (s, f) with growing s, finite")
+            raise InputError(
+                "knots", self.knots, "two or more pairs (s, f) with growing s, finite", state=f"are {self.knots!r}"
+            )
         object.__setattr__(self, "knots", tuple((s, f) for s, f in knots.tolist()))
         scalar("damping of a Table", self.damping)
 
@@ -145,7 +147,10 @@ class Pieces:
             scalar("a number of Pieces", x)
         if any(not b - a >= 2.0 * self.width for a, b in pairwise(self.borders)):
             raise InputError(
-                f"borders are {self.borders!r}; allowed: growing, at least 2 width = {2 * self.width} apart"
+                "borders",
+                self.borders,
+                f"growing, at least 2 width = {2 * self.width} apart",
+                state=f"are {self.borders!r}",
             )
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
@@ -212,9 +217,9 @@ class Gap:
         for name in ("stiffness", "limit", "damping", "smooth"):
             least = -math.inf if name == "limit" else 0.0
             if not scalar(f"{name} of a Gap", getattr(self, name)) >= least:
-                raise InputError(f"{name} of a Gap is {getattr(self, name)!r}; allowed: zero or positive")
+                raise InputError(name, getattr(self, name), "zero or positive", noun=f"{name} of a Gap")
         if self.sign not in (1.0, -1.0):
-            raise InputError(f"sign of a Gap is {self.sign!r}; allowed: 1.0 or -1.0")
+            raise InputError("sign", self.sign, "1.0 or -1.0", noun="sign of a Gap")
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         depth, share, _ = self._depth(s)
@@ -253,7 +258,7 @@ class Friction:
                 continue  # data of a batch of designs, which were checked
             if not scalar(f"{name} of a Friction", number(x)) > 0.0:
                 raise InputError(
-                    f"{name} of a Friction is {number(x)!r}; allowed: positive, or mbd.variable(...) of such a number"
+                    name, number(x), "positive, or mbd.variable(...) of such a number", noun=f"{name} of a Friction"
                 )
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
@@ -278,14 +283,18 @@ LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap, Friction)
 def check_law(name: str, law: Any) -> Any:
     """The law as it is, after one evaluation at zero; InputError names its force element."""
     if not callable(law):
-        raise InputError(f"law of {name!r} is {law!r}; allowed: a torch function of (s, s', t)")
+        raise InputError((name, "law"), law, "a torch function of (s, s', t)", noun=f"law of {name!r}")
     if data_fields(law):
         check_data_fields(name, law)
     zero = torch.zeros(1, 1, 1, dtype=torch.float64)
     f = evaluate_law(name, law, zero, zero, zero[0, 0, 0])
     if not isinstance(f, Tensor) or f.shape != zero.shape or not bool(torch.isfinite(f).all()):
         raise InputError(
-            f"law of {name!r} gives {f!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
+            (name, "law"),
+            law,
+            "a finite tensor of the shape of s, [1, 1, lanes]",
+            noun=f"law of {name!r}",
+            state=f"gives {f!r} at s = s' = t = 0",
         )
     if not hasattr(law, "slopes") and not isinstance(law, Scaled):
         function: Any = law
@@ -354,7 +363,5 @@ def expand_numbers(name: str, x: Any, count: int) -> list[Any]:
     except (TypeError, InputError):
         values = []
     if len(values) != count:
-        raise InputError(
-            f"{name} is {x!r}; allowed: {count} finite numbers, or one for all; each may be mbd.variable(...)"
-        )
+        raise InputError(name, x, f"{count} finite numbers, or one for all; each may be mbd.variable(...)")
     return values

@@ -26,7 +26,7 @@ class _Load(ForceElement):
     def __init__(self, frame: Frame, vector: Vector, axes: str = "ground", name: str | None = None):
         super().__init__((frame,), name)
         if axes not in ("ground", "frame"):
-            raise InputError(f"axes of {self.name!r} is {axes!r}; allowed: 'ground', 'frame'")
+            raise InputError((self.name, "axes"), axes, "'ground', 'frame'", noun=f"axes of {self.name!r}")
         self.axes = axes
         parts = _parts(self.name, vector)
         self.laws = [
@@ -45,7 +45,11 @@ def _parts(name: str, vector: Any) -> list[Any]:
     result = evaluate_law(name, law, torch.zeros((), dtype=torch.float64))
     if not isinstance(result, Tensor) or result.shape != (3,) or not bool(torch.isfinite(result).all()):
         raise InputError(
-            f"vector of {name!r} gives {result!r} at t = 0; allowed: a torch function of time, [] [s] -> finite [3]"
+            (name, "vector"),
+            vector,
+            "a torch function of time, [] [s] -> finite [3]",
+            noun=f"vector of {name!r}",
+            state=f"gives {result!r} at t = 0",
         )
     parts = [partial(_component, law, k) for k in range(3)]
     return [Scaled(vector.factor, part) for part in parts] if isinstance(vector, Scaled) else parts

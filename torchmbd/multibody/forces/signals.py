@@ -190,7 +190,7 @@ class ForceOn(Actuator):
         self.frames, self.axis, self.axes = (_frame(self, frame),), axis, axes
         axis_index(axis)
         if axes not in ("ground", "frame"):
-            raise InputError(f"axes of ForceOn is {axes!r}; allowed: 'ground', 'frame'")
+            raise InputError("axes", axes, "'ground', 'frame'", noun="axes of ForceOn")
         if isinstance(frame.body, Ground):
             raise InputError(f"ForceOn acts on {frame!r}; allowed: a frame on a body")
 

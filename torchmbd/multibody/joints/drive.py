@@ -107,8 +107,10 @@ def _checked(name: str, key: str, law: Any) -> FiniteLaw:
         unit = "rad" if key == "angle" else "m"
         text = repr(start).partition("\n")[0]
         raise InputError(
-            f"{key} of {name!r} gives {text if len(text) <= _SHOWN else text[:_SHOWN] + '...'} at t = 0; "
-            f"allowed: a torch function of time, [] [s] -> finite [] [{unit}], float64; {OF_TABLES}"
+            (name, key),
+            allowed=f"a torch function of time, [] [s] -> finite [] [{unit}], float64; {OF_TABLES}",
+            noun=f"{key} of {name!r}",
+            state=f"gives {(text if len(text) <= _SHOWN else text[:_SHOWN] + '...')} at t = 0",
         )
     if not hasattr(law, "slopes"):
         require_differentiable(f"{key} of {name!r}", law, DIFFERENTIABLE)

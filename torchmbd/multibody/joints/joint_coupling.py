@@ -58,14 +58,27 @@ class JointCoupling(Joint):
         for k, x in enumerate(coordinates):
             if not isinstance(x, JointCoordinate):
                 raise InputError(
-                    f"coordinates[{k}] = {x!r}: must be the angle or the travel of a joint. Try: hinge.angle, slide.travel"
+                    ("coordinates", k),
+                    x,
+                    rule="must be the angle or the travel of a joint",
+                    hint="hinge.angle, slide.travel",
+                    noun=f"coordinates[{k}]",
                 )
         if not 2 <= len(coordinates) <= MOST or len(set(coordinates)) < len(coordinates):
             raise InputError(
-                f"coordinates = {coordinates}: must be two or three different ones. Try: several couplings for more"
+                "coordinates",
+                coordinates,
+                rule="must be two or three different ones",
+                hint="several couplings for more",
+                shown=f"{coordinates}",
             )
         if len(factors) != len(coordinates):
-            raise InputError(f"factors = {factors}: must be {len(coordinates)} numbers, one for each coordinate")
+            raise InputError(
+                "factors",
+                factors,
+                rule=f"must be {len(coordinates)} numbers, one for each coordinate",
+                shown=f"{factors}",
+            )
         first = coordinates[0].joint
         super().__init__(first.a, first.b, name)
         labels = [*(f"factor{k + 1}" for k in range(len(factors))), "offset"]
@@ -124,5 +137,5 @@ class JointCoupling(Joint):
 
 def _listed(key: str, x: Any) -> list:
     if isinstance(x, str) or not isinstance(x, Sequence):
-        raise InputError(f"{key} = {x!r}: must be a list")
+        raise InputError(key, x, rule="must be a list")
     return list(x)

@@ -61,7 +61,7 @@ class SmoothStep(nn.Module):
         self.size, self.start = finite("size", size), finite("start", start)
         self.duration = finite("duration", duration)
         if not self.duration > 0:
-            raise InputError(f"duration is {duration!r} s; allowed: a positive number")
+            raise InputError("duration", duration, "a positive number", shown=f"{duration!r} s")
 
     def forward(self, t: Tensor) -> Tensor:
         s = self._share(t)
@@ -138,5 +138,5 @@ def finite(name: str, x: Any) -> Any:
     if isinstance(x, Tensor) and x.dim() == 0 and not x.requires_grad:
         x = float(x)
     if isinstance(x, bool) or not isinstance(x, (int, float)) or not math.isfinite(x):
-        raise InputError(f"{name} is {x!r}; allowed: a finite number, or mbd.variable(...) of one")
+        raise InputError(name, x, "a finite number, or mbd.variable(...) of one")
     return float(x)

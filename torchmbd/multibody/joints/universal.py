@@ -34,7 +34,7 @@ class Universal(Joint):
         super().__init__(a, b, name)
         if not isinstance(axes, str) or len(axes) != 2 or axes[0] == axes[1]:
             raise InputError(
-                f"axes of {self.name!r} is {axes!r}; allowed: two different letters of 'xyz', such as 'yz'"
+                (self.name, "axes"), axes, "two different letters of 'xyz', such as 'yz'", noun=f"axes of {self.name!r}"
             )
         for axis in axes:
             axis_index(axis)

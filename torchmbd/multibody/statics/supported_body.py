@@ -61,7 +61,10 @@ class SupportedBody:
                 )
             if f not in row:
                 raise InputError(
-                    f"supports hold node {f // 6} of {body.name!r}, which follows another; allowed: its leader"
+                    "supports",
+                    supports,
+                    "its leader",
+                    state=f"hold node {f // 6} of {body.name!r}, which follows another",
                 )
         self.imposed = torch.zeros(len(free), 1, dtype=torch.float64)
         kept = torch.ones(len(free), dtype=torch.bool)
@@ -69,7 +72,7 @@ class SupportedBody:
             if f in row:
                 self.imposed[row[f], 0], kept[row[f]] = value, False
         if not bool(kept.any()):
-            raise InputError(f"supports hold all freedoms of {body.name!r}; allowed: fewer")
+            raise InputError("supports", supports, "fewer", state=f"hold all freedoms of {body.name!r}")
         self.kept = kept.nonzero()[:, 0]
         self.pattern, self._positions = self.assembly.pattern.restrict(self.kept)
         with torch.no_grad():
@@ -107,7 +110,7 @@ def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, 
     """Imposed displacements of the supported freedoms 6 * node + i; none of a free body, where it is allowed."""
     if not isinstance(supports, Mapping) or not (supports or free_body):
         allowed = "nodes -> freedoms, {} for a free body" if free_body else "nodes -> freedoms, at least one"
-        raise InputError(f"supports of {body.name!r} is {supports!r}; allowed: {allowed}, or None")
+        raise InputError((body.name, "supports"), supports, f"{allowed}, or None", noun=f"supports of {body.name!r}")
     imposed: dict[int, float] = {}
     for where, support in supports.items():
         values = _values(body, where, support)

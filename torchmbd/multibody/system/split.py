@@ -54,7 +54,7 @@ class Chain:
         """Frame on a node of the whole line, as of `FlexibleBody.at`; where two pieces meet, on the first of them."""
         nodes = node_indices(self.line, node)
         if len(nodes) != 1:
-            raise InputError(f"node is {node!r}, {len(nodes)} nodes of a chain; allowed: one node")
+            raise InputError("node", node, "one node", state=f"is {node!r}, {len(nodes)} nodes of a chain")
         piece = max(k for k, first in enumerate(self.starts) if k == 0 or first < nodes[0])
         return self.bodies[piece].at(nodes[0] - self.starts[piece], axes, offset)
 
@@ -96,7 +96,7 @@ def _line(body: Any) -> BeamLine:
     """The line of a body; InputError for a body that cannot be split."""
     allowed = "a body of FlexibleBody.beam, before it is moved or bent"
     if not isinstance(body, FlexibleBody):
-        raise InputError(f"body of split is {body!r}; allowed: {allowed}")
+        raise InputError("body", body, f"{allowed}", noun="body of split")
     if not all(isinstance(part, Beams) for part in body.parts.values()) or not body.parts or body.links:
         raise InputError(f"body {body.name!r} of split is not a beam; allowed: {allowed}")
     if any(given_velocities(body)) or has_modal_start(body) or isinstance(body.position, nn.Parameter):

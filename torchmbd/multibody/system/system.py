@@ -110,7 +110,7 @@ class System(nn.Module):
             )
         )
         if not bodies:
-            raise InputError("bodies is empty; allowed: at least one body")
+            raise InputError("bodies", bodies, "at least one body", state="is empty")
         # Bodies and forces of another system may be given, with the nodes and elements of its beams: a first node is its beam.
         bodies = [
             body.beam if isinstance(body, BeamNode) else body
@@ -325,17 +325,27 @@ class System(nn.Module):
         batch = dict(parameters or {})
         for name, x in module_parameters.items():
             if x.dtype != torch.float64:
-                raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, the type of the system")
+                raise InputError(
+                    name,
+                    x.dtype,
+                    "torch.float64, the type of the system",
+                    noun=f"parameter {name!r}",
+                    shown=f"{x.dtype}",
+                )
         for name, x in batch.items():
             if name not in module_parameters:
                 raise unknown("parameter", name, module_parameters)
             if x.shape[1:] != module_parameters[name].shape:
                 sizes = ", ".join(map(str, module_parameters[name].shape))
-                raise InputError(f"parameter {name!r} has shape {tuple(x.shape)}; allowed: [lanes, {sizes}]")
+                raise InputError(
+                    name, x, f"[lanes, {sizes}]", noun=f"parameter {name!r}", state=f"has shape {tuple(x.shape)}"
+                )
             refuse_derivatives(f"parameter {name!r}", x, f"tangents=[{name!r}], or system() in reverse mode")
         lanes = {name: x.shape[0] for name, x in batch.items()}
         if len(set(lanes.values())) > 1:
-            raise InputError(f"lanes of the parameters are {lanes}; allowed: the same number for all")
+            raise InputError(
+                "lanes", lanes, "the same number for all", noun="lanes of the parameters", state=f"are {lanes}"
+            )
         for name in tangents:
             if name not in batch:
                 raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(batch)}")

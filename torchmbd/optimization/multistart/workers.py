@@ -218,7 +218,7 @@ class Processes(Workers):
 
     def __init__(self, problem: NonlinearProgram, count: int | None = None) -> None:
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
-            raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
+            raise InputError("count", count, "a positive integer", noun="count of processes")
         require_problem(problem)
         super().__init__(unpickle_problem, pickle_problem(problem), workers=count or 0, problem=problem)
 

@@ -62,7 +62,7 @@ def _shape(system: System, key: _Key) -> NodalShape:
         order = order[spectrum.values.imag > SWINGS * spectrum.values.abs()]
     if number > len(order):
         raise InputError(
-            f"number is {number}; allowed: 1 to {len(order)}, the vibrations of the system as it was built"
+            "number", number, f"1 to {len(order)}, the vibrations of the system as it was built", shown=f"{number}"
         )
     i = int(order[number - 1])
     if spectrum.fault[i] or int((spectrum.cluster == spectrum.cluster[i]).sum()) > 1:

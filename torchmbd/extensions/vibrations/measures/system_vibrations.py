@@ -84,7 +84,7 @@ def _numbers(name: str, numbers: object) -> tuple[int, ...]:
 
 def number_of(name: str, number: object) -> None:
     if not is_whole(number) or number < 1:  # pyright: ignore[reportOperatorIssue]
-        raise InputError(f"{name} is {number!r}; allowed: 1, 2, ...")
+        raise InputError(name, number, "1, 2, ...")
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,11 @@ class SystemFrequency(OfVibrations):
         if self.cluster is not None:
             object.__setattr__(self, "cluster", _numbers("cluster", self.cluster))
             if self.number != 1:
-                raise InputError(f"number is {self.number} with cluster {self.cluster}; allowed: one of both")
+                raise InputError(
+                    "number", self.number, "one of both", state=f"is {self.number} with cluster {self.cluster}"
+                )
         if true_or_false("follow", self.follow) and self.cluster is not None:
-            raise InputError(f"follow is True with cluster {self.cluster}; allowed: with a number")
+            raise InputError("follow", allowed="with a number", state=f"is True with cluster {self.cluster}")
         if scalar("power", self.power, "a finite number but 0") == 0.0:
             raise InputError("power", self.power, "a finite number but 0")
 
@@ -177,7 +179,10 @@ class DampingRatio(OfVibrations):
             oscillating = (known.imag > SWINGS * known.abs()).nonzero()[:, 0]
             if len(oscillating) < self.number:
                 raise DesignFailure(
-                    f"number is {self.number}; allowed: 1 to {len(oscillating)}, the vibrations of the system that oscillate"
+                    "number",
+                    self.number,
+                    f"1 to {len(oscillating)}, the vibrations of the system that oscillate",
+                    shown=f"{self.number}",
                 )
             s = lane[oscillating[self.number - 1]]
             ratios.append(-s.real / s.abs())
@@ -283,10 +288,10 @@ class CampbellClearance(OfVibrations):
 def rising(name: str, band: object) -> tuple[float, float]:
     """Two rising numbers."""
     if not isinstance(band, (list, tuple)) or len(band) != 2:
-        raise InputError(f"{name} is {band!r}; allowed: two rising numbers")
+        raise InputError(name, band, "two rising numbers")
     low, high = (scalar(name, x) for x in band)
     if not low < high:
-        raise InputError(f"{name} is {band!r}; allowed: two rising numbers")
+        raise InputError(name, band, "two rising numbers")
     return low, high
 
 
@@ -294,5 +299,5 @@ def positive_band(name: str, band: object) -> tuple[float, float]:
     """Two rising positive numbers."""
     low, high = rising(name, band)
     if not low > 0.0:
-        raise InputError(f"{name} is {band!r}; allowed: two rising positive numbers")
+        raise InputError(name, band, "two rising positive numbers")
     return low, high

@@ -63,7 +63,7 @@ def mode_motion(
     positive("size", size, "a share of the picture")
     for name, x, least in (("periods", periods, 1), ("frames", frames, 4)):
         if not is_whole(x) or x < least:
-            raise InputError(f"{name} is {x!r}; allowed: {least}, {least + 1}, ...")
+            raise InputError(name, x, f"{least}, {least + 1}, ...")
     with torch.no_grad():
         pole, shape = _vibration(rest, number, lane)
         phases = torch.linspace(0.0, 2.0 * torch.pi * periods, periods * frames + 1, dtype=torch.float64)

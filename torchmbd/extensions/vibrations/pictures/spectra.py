@@ -222,14 +222,14 @@ def _numbers(name: str, x: Any, kind: type = float) -> Any:
     try:
         return np.asarray(x.detach() if isinstance(x, Tensor) else x, dtype=kind)
     except (TypeError, ValueError):
-        raise InputError(f"{name} is {x!r}; allowed: numbers") from None
+        raise InputError(name, x, "numbers") from None
 
 
 def _require_columns(name: str, y: np.ndarray, x: np.ndarray, columns: int | None = None) -> None:
     """InputError unless y is [len(x), columns] with a finite number."""
     if y.ndim != 2 or len(y) != len(x) or not y.shape[1] or columns not in (None, y.shape[1]):
         raise InputError(
-            f"{name} has shape {y.shape}; allowed: ({len(x)}, {'vibrations' if columns is None else columns})"
+            name, y, f"({len(x)}, {('vibrations' if columns is None else columns)})", state=f"has shape {y.shape}"
         )
     if not np.isfinite(y).any():
-        raise InputError(f"{name} has no finite number; allowed: at least one")
+        raise InputError(name, allowed="at least one", state="has no finite number")
