@@ -1,4 +1,5 @@
-"""What a constructor takes as a number it takes as a variable, or it says no at once, by the name of the argument.
+"""A constructor takes a number as a variable as well, or refuses it at once with the path of the argument; so it does words,
+lists, objects, mappings, nan and infinity.
 
 Taken: the variable is a parameter of what was made, or a field of a law or material that systems make parameters of.
 Gradients by those that are taken: tests/sensitivity.
@@ -6,6 +7,8 @@ Gradients by those that are taken: tests/sensitivity.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -142,3 +145,22 @@ def test_a_variable_is_taken_or_refused_by_name(name):
         assert argument in said if said is not None else holds(result, x, set()), (
             f"{name}, {argument}: {said or 'lost'}"
         )
+
+
+WRONG = {"word": "x", "list": [1.0, 2.0], "object": object(), "mapping": {}, "nan": math.nan, "infinity": math.inf}
+#: names of arguments in errors, where an argument is part of a vector
+VECTORS = {"Frame": {"x": "point"}}
+
+
+@pytest.mark.parametrize("kind", WRONG)
+@pytest.mark.parametrize("name", CASES)
+def test_a_wrong_number_is_refused_with_the_path_of_its_argument(name, kind):
+    make, numbers, others = CASES[name]
+    for argument in numbers:
+        if (name, kind) == ("Strength", "infinity"):  # a strength may be infinite
+            continue
+        with pytest.raises(mbd.InputError) as error:
+            make(**{**others, argument: WRONG[kind]})
+        words = re.split(r"\W+", error.value.argument)
+        assert VECTORS.get(name, {}).get(argument, argument) in words, f"{name}, {argument}: {error.value}"
+        assert error.value.allowed or error.value.rule, f"{name}, {argument}: {error.value}"

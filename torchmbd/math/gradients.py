@@ -85,9 +85,8 @@ def refuse_gradients(name: str, value: Any, allowed: str = "numbers") -> None:
             refuse_gradients(name, x, allowed)
     elif carries_gradient(value):
         shown = " ".join(repr(value).split())
-        raise InputError(
-            f"{name} carries a gradient, which would be lost here: {shown}; allowed: {allowed}, or x.detach()"
-        )
+        state = f"carries a gradient, which would be lost here: {shown}"
+        raise InputError(name, value, f"{allowed}, or x.detach()", state=state)
 
 
 def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
@@ -119,9 +118,8 @@ def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
         values = signature.bind_partial(*args, **kwargs).arguments
         for name in floats.intersection(values):
             if not _number(values[name]):
-                raise InputError(
-                    f"{name} of {f.__qualname__.removesuffix('.__init__')} is {values[name]!r}; allowed: a number"
-                )
+                owner = f.__qualname__.removesuffix(".__init__")
+                raise InputError(name, values[name], "a number", noun=f"{name} of {owner}")
         return f(*args, **kwargs)
 
     return checked

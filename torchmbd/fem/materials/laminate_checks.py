@@ -35,9 +35,11 @@ def checked_plies(ply: Lamina | Sequence[Lamina], layers: int) -> list[Lamina]:
     plies = [ply] * layers if isinstance(ply, Lamina) else list(ply)
     for k, p in enumerate(plies):
         if not isinstance(p, Lamina):
-            raise InputError(f"Laminate: ply[{k}] = {p!r}; allowed: a Ply, or one Ply per layer")
+            noun = f"Laminate: ply[{k}]"
+            raise InputError(("ply", k), p, "a Ply, or one Ply per layer", noun=noun, state=f"= {p!r}")
     if len(plies) != layers:
-        raise InputError(f"Laminate: {len(plies)} plies for {layers} angles; allowed: one Ply, or one per angle")
+        state = f"{len(plies)} plies for {layers} angles"
+        raise InputError("ply", ply, "one Ply, or one per angle", noun="Laminate:", state=state)
     return plies
 
 
@@ -54,12 +56,12 @@ def checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) 
     if t is not thickness:  # numbers
         t = nn.Parameter(t.detach().repeat(layers) if t.ndim == 0 else t.detach(), requires_grad=False)
     if t.shape != (layers,):
-        raise InputError(
-            f"Laminate: {t.numel()} thicknesses for {layers} angles; allowed: one number, or one per angle [m]"
-        )
+        state = f"{t.numel()} thicknesses for {layers} angles"
+        raise InputError("thickness", thickness, "one number, or one per angle [m]", noun="Laminate:", state=state)
     for k, value in enumerate(t.tolist()):
         if not 0.0 < value < float("inf"):
-            raise InputError(f"Laminate: thickness[{k}] = {value!r} m; allowed: a finite number > 0")
+            noun = f"Laminate: thickness[{k}]"
+            raise InputError(("thickness", k), value, "a finite number > 0", noun=noun, state=f"= {value!r} m")
     warn_unusual("Laminate: thickness", float(t.detach().max()), "m", THICKNESS)
     return t
 

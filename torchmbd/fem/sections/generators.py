@@ -26,7 +26,7 @@ from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.patches import Patch, between, graded, grid, line, parametric_mesh
 from torchmbd.fem.sections.section import Section
-from torchmbd.math.checked_numbers import is_whole, positive
+from torchmbd.math.checked_numbers import is_whole, positive, reals
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.plausible_units import DIMENSION, THICKNESS, warn_unusual
 from torchmbd.math.variable import number
@@ -61,10 +61,13 @@ def check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
 
 
 def checked_thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np.ndarray:
-    t = np.asarray(thickness.detach() if isinstance(thickness, Tensor) else thickness, dtype=float)
+    t = reals("thickness", thickness.detach() if isinstance(thickness, Tensor) else thickness).numpy()
     t = np.repeat(t, layers) if t.ndim == 0 else t
     if t.shape != (layers,) or layers == 0:
-        raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
+        noun = f"{t.size} thicknesses"
+        raise InputError(
+            "thickness", thickness, "one number, or one per ply [m]", noun=noun, state=f"for {layers} plies"
+        )
     if not (np.isfinite(t) & (t > 0)).all():
         raise InputError("thickness", thickness, "finite numbers > 0 [m]", state=f"= {thickness!r}")
     warn_unusual("thickness", float(t.max()), "m", THICKNESS)
@@ -177,7 +180,8 @@ def box(
     total = checked_thicknesses(thickness, layers).sum()
     if not 2 * total < min(number(width), number(height)):
         sizes = f"{number(width):g} m x {number(height):g} m"
-        raise InputError(f"box: walls of {total:g} m in {sizes}; allowed: less than half of both")
+        state = f"walls of {total:g} m in {sizes}"
+        raise InputError("thickness", thickness, "less than half of both", noun="box:", state=state)
     shared = not isinstance(angles, Mapping)
 
     def build(width: Any, height: Any, thickness: Any) -> list[Patch]:
@@ -222,7 +226,8 @@ def tube(
     layers = count_of_layers(angles)
     total = checked_thicknesses(thickness, layers).sum()
     if not total < number(radius):
-        raise InputError(f"tube: thickness {total:g} m of radius {number(radius):g} m; allowed: less than the radius")
+        state = f"{total:g} m of radius {number(radius):g} m"
+        raise InputError("thickness", thickness, "less than the radius", noun="tube: thickness", state=state)
     around = line(math.pi / 2, -1.5 * math.pi, cells[0], order)  # clockwise from the top
     directions = np.stack([np.cos(around), np.sin(around)], axis=-1)
 
@@ -301,7 +306,8 @@ def i_section(
     total = checked_thicknesses(thickness, layers).sum()
     if not (2 * total < number(height) and total < number(width)):
         sizes = f"{number(width):g} m x {number(height):g} m"
-        raise InputError(f"i_section: walls of {total:g} m do not fit into {sizes}")
+        noun = f"i_section: walls of {total:g} m"
+        raise InputError("thickness", thickness, rule=f"do not fit into {sizes}", noun=noun, shown="")
 
     def build(width: Any, height: Any, thickness: Any) -> list[Patch]:
         t = np.broadcast_to(thickness, layers)

@@ -54,6 +54,12 @@ class Spring:
     rest: float = 0.0
     data_fields: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
 
+    def __post_init__(self) -> None:
+        for name in self.data_fields:
+            x = getattr(self, name)
+            if not getattr(x, "shape", ()):  # else data of a batch of designs, which were checked
+                scalar(f"{name} of a Spring", number(x))
+
     @property
     def center(self) -> float:
         return self.rest
