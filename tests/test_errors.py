@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+import torch
 
 import torchmbd as mbd
 from torchmbd.design.response_spec import SpecError, measure_of
@@ -75,6 +76,11 @@ def test_an_error_has_its_argument_and_value(name):
             "body 'rdo' does not exist; allowed: rod; did you mean 'rod'?",
             ": body 'rdo' does not exist; allowed: rod; did you mean 'rod'?",
         ),
+        (
+            InputError(("rod", "axes"), [1.0], "a matrix", noun="axes of 'rod'", state="has shape (1,)"),
+            "axes of 'rod' has shape (1,); allowed: a matrix",
+            "has shape (1,); allowed: a matrix",
+        ),
         (InputError("a sentence alone"), "a sentence alone", ": a sentence alone"),
     ],
 )
@@ -94,6 +100,7 @@ def test_a_response_has_the_path_of_its_wrong_entry():
     [
         InputError("mass", -1.0, "positive"),
         InputError("law", lambda t: t, "a number"),  # no other process can get this value
+        InputError("angles", 2.0 * torch.ones(2, requires_grad=True), "one angle", state="have shape (2,)"),
         SpecError(("max",), "has 0 keys"),
         StudyError("study.yaml", [Fault(("model",), "is missing", 2)]),
     ],

@@ -80,7 +80,7 @@ class InputError(MbdError, ValueError):
         self.allowed = allowed if isinstance(allowed, str) else tuple(map(str, allowed))
         self.rule, self.hint = rule, hint
         self._is_sentence = value is _ABSENT and not allowed and not rule
-        self.path: Path = () if self._is_sentence else (argument,) if isinstance(argument, str) else tuple(argument)
+        self.path: Path = () if self._is_sentence else tuple(argument) if isinstance(argument, (tuple, list)) else (argument,)
         self._noun = str(argument) if self._is_sentence else noun
         self._shown = shown if shown is not None else "" if value is _ABSENT else repr(value)
         self._has_value, self._state = value is not _ABSENT, state
@@ -91,11 +91,12 @@ class InputError(MbdError, ValueError):
         return _received, (type(self), {**vars(self), "value": self._sent()}, self.args)
 
     def _sent(self) -> Any:
+        value = self.value.detach() if getattr(self.value, "requires_grad", False) else self.value
         try:
-            pickle.dumps(self.value)
-        except (pickle.PicklingError, TypeError, AttributeError):
-            return repr(self.value)
-        return self.value
+            pickle.dumps(value)
+        except (pickle.PicklingError, TypeError, AttributeError, RuntimeError):
+            return repr(value)
+        return value
 
     @property
     def argument(self) -> str:
