@@ -80,7 +80,8 @@ class InputError(MbdError, ValueError):
         self.allowed = allowed if isinstance(allowed, str) else tuple(map(str, allowed))
         self.rule, self.hint = rule, hint
         self._is_sentence = value is _ABSENT and not allowed and not rule
-        self.path: Path = () if self._is_sentence else tuple(argument) if isinstance(argument, (tuple, list)) else (argument,)
+        keys = tuple(argument) if isinstance(argument, (tuple, list)) else (argument,)
+        self.path: Path = () if self._is_sentence else keys
         self._noun = str(argument) if self._is_sentence else noun
         self._shown = shown if shown is not None else "" if value is _ABSENT else repr(value)
         self._has_value, self._state = value is not _ABSENT, state
