@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.optimization.analytic import Analytic
+from tests.optimization.laminated_tube import laminated_tube
 from torchmbd.optimization import optimize
 from torchmbd.optimization.least_infeasible import least_infeasible
 from torchmbd.optimization.search import Search
@@ -55,6 +56,29 @@ def test_a_feasible_design_ends_the_search_for_one():
     problem = Analytic("disk", [4.0, 4.0], lambda x: x[0], lambda x: [x[0] ** 2 + x[1] ** 2 - 1], lower=-5, upper=5)
     least, _ = least_of(problem)
     assert least.violation == 0.0
+
+
+@pytest.mark.parametrize("start", [[1.0, -1.384, -1.408, 0.012], [0.4, -1.49, -1.511, -0.03], [0.7, 0.97, 1.32, -0.72]])
+def test_few_simulations_make_a_curved_problem_feasible(start):
+    """The end is the first feasible design, not one well inside the limits."""
+    problem = laminated_tube(start)
+    least, _ = least_of(problem)
+    assert least.violation <= 1e-6
+    assert problem.functions <= 25
+
+
+def test_a_design_that_fails_shortens_the_step():
+    problem = Analytic(
+        "disk",
+        [4.0, 4.0],
+        lambda x: x[0],
+        lambda x: [x[0] ** 2 + x[1] ** 2 - 1],
+        lower=-5,
+        upper=5,
+        fails=lambda x: x[0] ** 2 + x[1] ** 2 < 0.7,
+    )
+    least, _ = least_of(problem)
+    assert least.violation <= 1e-6
 
 
 def test_a_method_that_gave_up_goes_on_from_the_feasible_design(monkeypatch):

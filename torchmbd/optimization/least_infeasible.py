@@ -2,8 +2,15 @@
 
     minimize t   subject to   c_i(y) <= t  (equalities: |c_i| <= t),   lower <= y <= upper
 
-by feasible directions. The multipliers at the end sum to one. No small change of the design reduces the violation of all
-constraints that have a multiplier: these conflict. A design with t <= 0 is feasible after all.
+by steps d of a model in a trust region,
+
+    minimize t + 1/2 d'B d   subject to   c_i + dc_i . d <= t,   lower <= y + d <= upper,   |d_k| <= radius
+
+B approximates the second derivatives of the constraints, weighed by the multipliers (direction.py). The multipliers at the end
+sum to one. No small change of the design reduces the violation of all constraints that have a multiplier: these conflict. The
+search ends at the first design with t <= 0, which is feasible after all.
+Source: Madsen, Minimax solution of non-linear equations without calculating derivatives, Math. Programming Study 3 (1975)
+110-126; Conn, Gould and Toint, Trust-region methods (2000), chapter 11.
 Checked in tests/optimization/test_least_infeasible.py.
 """
 
@@ -14,12 +21,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from torchmbd.optimization.kkt import kuhn_tucker
-from torchmbd.optimization.methods.mmfd import mmfd
+from torchmbd.optimization.methods.direction import VariableMetric
+from torchmbd.optimization.methods.quadratic import QuadraticSolution, solve_quadratic
 from torchmbd.optimization.optimizer import Evaluation
 from torchmbd.optimization.search import Search
 
 ITERATIONS = 30
 CONFLICT = 1e-2  # multiplier from which on a constraint counts as conflicting
+FIRST_RADIUS, LEAST_RADIUS = 0.5, 1e-6  # of the scaled variables
+REST = 1e-6  # promised fall of the violation, a share of it, at which the search has arrived
+FIRST_CURVATURE = 1e-2  # of B, times the violation: a step of one in the scaled variables
+FLAT = 1e-4  # curvature in t, over the violation: the quadratic program needs some
+GOOD, POOR = 0.75, 0.25  # shares of the promised fall from which the radius grows, below which it shrinks
 
 
 @dataclass(frozen=True)
@@ -32,23 +45,52 @@ class LeastInfeasible:
 def least_infeasible(search: Search, y: np.ndarray) -> LeastInfeasible:
     """Minimize the largest violation from `y` (scaled), a design that is evaluated already."""
     sign, rows = _rows(search)
-
-    def evaluate(X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        designs = [x[:-1] for x in X]
-        search.prefetch(designs, gradients)
-        return [_lifted(search.evaluate(d, gradients), x[-1], sign, rows) for d, x in zip(designs, X, strict=True)]
-
-    t = search.violation(search.evaluate(y))
-    start = np.append(y, t)
-    lower, upper = np.append(search.lower, -t), np.append(search.upper, 2.0 * t)
-    inner = Search(evaluate, start, lower, upper, feasibility=0.1 * search.feasibility)
-    end = mmfd(inner, ITERATIONS).y
-    evaluation = search.evaluate(end[:-1], gradients=True)
+    evaluation = search.evaluate(y, gradients=True)
     violation = search.violation(evaluation)
-    y_t, lifted = np.append(end[:-1], violation), _lifted(evaluation, violation, sign, rows)
-    quality = kuhn_tucker(lifted, y_t, lower, upper, np.zeros(rows.size, dtype=bool))
+    metric, radius = VariableMetric(search.size), FIRST_RADIUS
+    metric.reset(FIRST_CURVATURE * violation)
+    for _ in range(ITERATIONS):
+        if violation <= search.feasibility:
+            return LeastInfeasible(y, violation, [])
+        c, dc = _one_sided(evaluation, sign, rows)
+        model = _step(c, dc, metric.B, np.maximum(search.lower - y, -radius), np.minimum(search.upper - y, radius))
+        if model is None:
+            break
+        d = np.clip(y + model.s[:-1], search.lower, search.upper) - y
+        promised = violation - float((c + dc @ d).max())
+        length = float(np.abs(d).max(initial=0.0))
+        if promised <= REST * violation or length <= LEAST_RADIUS:
+            break
+        trial = search.evaluate(y + d, gradients=True)
+        share = (violation - search.violation(trial)) / promised if trial.ok else -np.inf
+        if share < POOR:
+            radius = 0.25 * length
+        elif share >= GOOD and length >= 0.99 * radius:
+            radius *= 2.0
+        if trial.ok:
+            multipliers = model.multipliers[: rows.size]
+            metric.update(d, (_one_sided(trial, sign, rows)[1] - dc).T @ multipliers)
+        if share > 0.0:
+            y, evaluation, violation = y + d, trial, search.violation(trial)
+    lifted = _lifted(evaluation, violation, sign, rows)
+    lower, upper = np.append(search.lower, -violation), np.append(search.upper, 2.0 * violation)
+    quality = kuhn_tucker(lifted, np.append(y, violation), lower, upper, np.zeros(rows.size, dtype=bool))
     conflicting = sorted(set(rows[quality.multipliers > CONFLICT].tolist()))
-    return LeastInfeasible(end[:-1], violation, conflicting)
+    return LeastInfeasible(y, violation, conflicting)
+
+
+def _step(
+    c: np.ndarray, dc: np.ndarray, B: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> QuadraticSolution | None:
+    """Return the step (d, t) of the model in the header, with the multipliers of the rows first; None: there is none."""
+    violation, size = float(c.max()), c.size
+    identity = np.eye(lower.size)
+    metric = np.zeros((lower.size + 1, lower.size + 1))
+    metric[:-1, :-1], metric[-1, -1] = B, FLAT / violation
+    rows = np.block(
+        [[dc, -np.ones((size, 1))], [identity, np.zeros((lower.size, 1))], [-identity, np.zeros((lower.size, 1))]]
+    )
+    return solve_quadratic(metric, np.append(np.zeros(lower.size), 1.0), rows, np.concatenate([-c, upper, -lower]))
 
 
 def _rows(search: Search) -> tuple[np.ndarray, np.ndarray]:
@@ -58,12 +100,13 @@ def _rows(search: Search) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([np.ones(count), -np.ones(equal.size)]), np.concatenate([np.arange(count), equal])
 
 
+def _one_sided(evaluation: Evaluation, sign: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the one-sided constraints [rows] of an evaluation and their gradients [rows, n]."""
+    assert evaluation.constraint_gradients is not None
+    return sign * evaluation.constraints[rows], sign[:, None] * evaluation.constraint_gradients[rows]
+
+
 def _lifted(evaluation: Evaluation, t: float, sign: np.ndarray, rows: np.ndarray) -> Evaluation:
     """Return the evaluation of the problem of the header, in the variables (y, t)."""
-    if not evaluation.ok:
-        return evaluation
-    df = dc = None
-    if evaluation.constraint_gradients is not None:
-        df = np.append(np.zeros(evaluation.constraint_gradients.shape[1]), 1.0)
-        dc = np.column_stack([sign[:, None] * evaluation.constraint_gradients[rows], -np.ones(rows.size)])
-    return Evaluation(t, sign * evaluation.constraints[rows] - t, df, dc)
+    c, dc = _one_sided(evaluation, sign, rows)
+    return Evaluation(t, c - t, np.append(np.zeros(dc.shape[1]), 1.0), np.column_stack([dc, -np.ones(rows.size)]))

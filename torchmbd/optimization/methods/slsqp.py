@@ -81,8 +81,11 @@ def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
 
 
 def _violation_rests(search: Search) -> bool:
-    """Whether no design of a search has been feasible, and the last PATIENCE ones have hardly lowered the violation."""
+    """Whether no design of a search has been feasible, and the last PATIENCE ones have hardly lowered the violation.
+
+    The start does not count: the first step meets the linearized constraints, and may raise the violation before it falls.
+    """
     violations = [iterate.violation for iterate in search.history]
-    if len(violations) <= PATIENCE or min(violations) <= search.feasibility:
+    if len(violations) <= PATIENCE + 1 or min(violations) <= search.feasibility:
         return False
-    return min(violations[-PATIENCE:]) > (1.0 - FALL) * min(violations[:-PATIENCE])
+    return min(violations[-PATIENCE:]) > (1.0 - FALL) * min(violations[1:-PATIENCE])
