@@ -32,10 +32,12 @@ def test_ply_angles_do_not_enter(one, two):
 
 
 def test_bad_input_is_named():
-    with pytest.raises(InputError, match=r"poisson = 1\.2"):
+    with pytest.raises(InputError) as error:
         IsotropicMean(1.2, 1e-3)
-    with pytest.raises(InputError, match=r"shear_length = 0\.0"):
+    assert (error.value.path, error.value.value) == (("poisson",), 1.2)
+    with pytest.raises(InputError) as error:
         IsotropicMean(0.3, 0.0)
+    assert (error.value.path, error.value.value) == (("shear_length",), 0.0)
     lanes = LaminateStiffness(*(torch.eye(k, dtype=torch.float64).expand(2, k, k) for k in (3, 3, 3, 2)))
     with pytest.raises(InputError, match="one laminate"):
         IsotropicMean.of(lanes)

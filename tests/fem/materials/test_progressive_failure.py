@@ -114,14 +114,17 @@ def test_gradients_by_forces():
 
 def test_bad_input_is_named():
     bare = mbd.Laminate(mbd.Ply.isotropic(70e9, 0.3, 2700.0), [0.0], T)
-    with pytest.raises(mbd.InputError, match="criterion 'tsai_wu' does not exist"):
+    with pytest.raises(mbd.InputError) as error:
         mbd.progressive_failure(cross(), (1, 0, 0), criterion="tsai_wu")
+    assert (error.value.path, error.value.value) == (("criterion",), "tsai_wu")
     with pytest.raises(mbd.InputError, match="force and moment are zero"):
         mbd.progressive_failure(cross())
-    with pytest.raises(mbd.InputError, match=r"force is \[1.0, 2.0\]; allowed: three finite numbers"):
+    with pytest.raises(mbd.InputError) as error:
         mbd.progressive_failure(cross(), (1.0, 2.0))
-    with pytest.raises(mbd.InputError, match=r"kept is 0; allowed: a number in \(0, 1e-3\]"):
+    assert (error.value.path, error.value.value) == (("force",), [1.0, 2.0])
+    with pytest.raises(mbd.InputError) as error:
         mbd.progressive_failure(cross(), (1, 0, 0), kept=0)
+    assert (error.value.path, error.value.value) == (("kept",), 0)
     with pytest.raises(mbd.InputError, match="the ply of layer 0 has no strength"):
         mbd.progressive_failure(bare, (1, 0, 0))
 

@@ -26,8 +26,10 @@ def test_named_nodes_and_sets():
     mesh = Mesh(SQUARE, HALVES, {"origin": [0], "left": [0, 3]})
     assert mesh.node("origin") == 0
     assert mesh.node_set("left") == (0, 3)
-    with pytest.raises(InputError, match="did you mean 'origin'"):
+    with pytest.raises(InputError) as error:
         mesh.node("orign")
+    assert (error.value.path, error.value.value) == (("node",), "orign")
+    assert "origin" in error.value.allowed
     with pytest.raises(InputError, match="'left' has 2 nodes"):
         mesh.node("left")
 

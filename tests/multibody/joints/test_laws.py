@@ -141,5 +141,6 @@ def test_a_drive_refuses_laws_that_are_none(law, message):
 
 
 def test_a_step_refuses_a_duration_of_zero():
-    with pytest.raises(InputError, match="duration is 0 s; allowed: a positive number"):
+    with pytest.raises(InputError) as error:
         SmoothStep(1.0, 0)
+    assert (error.value.path, error.value.value) == (("duration",), 0)
