@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,45 +24,36 @@ MESH = rectangle(length=0.3, width=0.06, cells=(4, 2))
 NUMBERS = [None, "1", [], [1.0, 2.0], {}, b"1", object(), int, 1j, torch.zeros(3), np.array(["a"])]
 
 CASES = [
-    *((lambda x=x: mbd.BeamLine.straight(x), "length of BeamLine.straight is .*; allowed: a number") for x in NUMBERS),
-    *((lambda x=x: mbd.BeamLine.arc(1.0, x), "angle of BeamLine.arc is .*; allowed: a number") for x in NUMBERS),
-    *(
-        (lambda x=x: mbd.GivenSection.isotropic(**METAL | {"nu": x}), "nu of .* is .*; allowed: a number")
-        for x in NUMBERS
-    ),
-    *((lambda x=x: mbd.AtTime(mbd.StrainEnergy("rod"), x), "time is .*; allowed: zero or positive") for x in NUMBERS),
-    *(
-        (lambda x=x: mbd.Laminate(PLY, mbd.deg([0.0]), 1e-3, shear_correction=x), "shear_correction = .*; allowed: 0 <")
-        for x in NUMBERS
-    ),
-    *((lambda x=x: ENERGY.value(x), "motion is .*; allowed: a motion") for x in NUMBERS),
-    *((lambda x=x: mbd.SectionHistory(x, "rod"), "motion is .*; allowed: a motion") for x in NUMBERS),
-    *((lambda x=x: mbd.DesignSpace(x), "system is .*; allowed: a System") for x in NUMBERS),
-    *((lambda x=x: build().with_joints([x]), "joints has .*; allowed: joints") for x in NUMBERS),
-    *((lambda x=x: mbd.RobustProblem(BOX, 0.1, x), "kind .* does not exist; allowed: expected") for x in NUMBERS),
-    *((lambda x=x: mbd.RobustProblem(BOX, x), "tolerance is .*; allowed: ") for x in NUMBERS[2:]),
-    *((lambda x=x: mbd.optimize(BOX, x), "method .* does not exist; allowed: ") for x in NUMBERS),
-    *(
-        (lambda x=x: mbd.Laminate(x, mbd.deg([0.0]), 1e-3), r"Laminate: ply.* = .*; allowed: a Ply")
-        for x in NUMBERS[5:]
-    ),
-    *((lambda x=x: ENERGY.value_and_gradient(x), "motion is .*; allowed: a motion") for x in NUMBERS),
-    *((lambda x=x: mbd.PlyHistory(x, "rod"), "motion is .*; allowed: a motion") for x in NUMBERS),
-    *((lambda x=x: mbd.Differences(x), "problem is .*; allowed: a problem") for x in NUMBERS),
-    *(
-        (lambda x=x: mbd.Differences(BOX, x), "step is .*; allowed: numbers")
-        for x in ("x", {}, object(), [[1], [1, 2]])
-    ),
-    *((lambda x=x: mbd.DesignSpace(build(), links=x), "links is .*; allowed: entry") for x in NUMBERS[5:8]),
-    (
-        lambda: mbd.optimize_discrete(BOX, 1e-9),
-        "allowed of x = 1e-09 .* 2e[+]09 values, .* bytes; allowed: up to 1000000 values",
-    ),
-    *((lambda x=x: mbd.problem_of(x), "file is .*; allowed: the path of a file") for x in [None, [], 3, b"x"]),
+    *((lambda x=x: mbd.BeamLine.straight(x), "length") for x in NUMBERS),
+    *((lambda x=x: mbd.BeamLine.arc(1.0, x), "angle") for x in NUMBERS),
+    *((lambda x=x: mbd.GivenSection.isotropic(**METAL | {"nu": x}), "nu") for x in NUMBERS),
+    *((lambda x=x: mbd.AtTime(mbd.StrainEnergy("rod"), x), "time") for x in NUMBERS),
+    *((lambda x=x: mbd.Laminate(PLY, mbd.deg([0.0]), 1e-3, shear_correction=x), "shear_correction") for x in NUMBERS),
+    *((lambda x=x: ENERGY.value(x), "motion") for x in NUMBERS),
+    *((lambda x=x: mbd.SectionHistory(x, "rod"), "motion") for x in NUMBERS),
+    *((lambda x=x: mbd.DesignSpace(x), "system") for x in NUMBERS),
+    *((lambda x=x: build().with_joints([x]), "joints") for x in NUMBERS),
+    *((lambda x=x: mbd.RobustProblem(BOX, 0.1, x), "kind") for x in NUMBERS),
+    *((lambda x=x: mbd.RobustProblem(BOX, x), "tolerance") for x in NUMBERS[2:]),
+    *((lambda x=x: mbd.optimize(BOX, x), "method") for x in NUMBERS),
+    *((lambda x=x: mbd.Laminate(x, mbd.deg([0.0]), 1e-3), "ply") for x in NUMBERS[5:]),
+    *((lambda x=x: ENERGY.value_and_gradient(x), "motion") for x in NUMBERS),
+    *((lambda x=x: mbd.PlyHistory(x, "rod"), "motion") for x in NUMBERS),
+    *((lambda x=x: mbd.Differences(x), "problem") for x in NUMBERS),
+    *((lambda x=x: mbd.Differences(BOX, x), "step") for x in ("x", {}, object(), [[1], [1, 2]])),
+    *((lambda x=x: mbd.DesignSpace(build(), links=x), "links") for x in NUMBERS[5:8]),
+    *((lambda x=x: mbd.problem_of(x), "file") for x in [None, [], 3, b"x"]),
 ]
 
 
-@pytest.mark.parametrize(("call", "words"), CASES, ids=[str(k) for k in range(len(CASES))])
-def test_it_is_refused_by_name(call, words):
-    with pytest.raises(InputError, match=words):
+@pytest.mark.parametrize(("call", "argument"), CASES, ids=[str(k) for k in range(len(CASES))])
+def test_it_is_refused_with_the_path_of_the_argument(call, argument):
+    with pytest.raises(InputError) as error:
         call()
+    assert argument in re.split(r"\W+", error.value.argument), error.value
+    assert error.value.allowed or error.value.rule, error.value
+
+
+def test_a_grid_of_too_many_values_is_refused_with_their_number():
+    with pytest.raises(InputError, match="2e[+]09 values, .* bytes; allowed: up to 1000000 values"):
+        mbd.optimize_discrete(BOX, 1e-9)
