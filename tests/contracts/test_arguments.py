@@ -55,5 +55,5 @@ def test_it_is_refused_with_the_path_of_the_argument(call, argument):
 
 
 def test_a_grid_of_too_many_values_is_refused_with_their_number():
-    with pytest.raises(InputError, match="2e[+]09 values, .* bytes; allowed: up to 1000000 values"):
+    with pytest.raises(InputError, match=r"2e[+]09 values, .* bytes; allowed: up to 1000000 values"):
         mbd.optimize_discrete(BOX, 1e-9)
