@@ -79,11 +79,3 @@ def test_the_map_and_its_transpose() -> None:
     sums, x, y = Sums.of(ROWS, TERMS, (6, 7)), random(3, 7), random(3, 6)
     torch.testing.assert_close(sums(x), x @ MATRIX.T)
     torch.testing.assert_close(sums.adjoint(y)[0], y @ MATRIX)
-
-
-@pytest.mark.usefixtures("products")
-def test_chosen_rows() -> None:
-    chosen = torch.tensor([2, 4, 1, 4])
-    sums, x, y = Sums.of(ROWS, TERMS, (6, 7)).selected(chosen), random(3, 7), random(3, 4)
-    torch.testing.assert_close(sums(x), x @ MATRIX[chosen].T)
-    torch.testing.assert_close(sums.adjoint(y)[0], y @ MATRIX[chosen])

@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.math.products import compiled_products
 from torchmbd.math.vmap import apply_as_lanes
 
@@ -87,36 +88,37 @@ class _Adjoint(torch.autograd.Function):
 class Sums:
     """The linear map x [lanes, x] -> y [lanes, y].
 
-    rows   row k of every term, sorted [terms];  terms   its index e in x [terms]
-    shape  numbers of rows and of x
+    start  where the terms of each row begin, with the end [rows + 1]
+    terms  index e in x of every term, row by row [terms]
+    size   of x
     """
 
-    def __init__(self, rows: Int[Tensor, " terms"], terms: Int[Tensor, " terms"], shape: tuple[int, int]) -> None:
-        self.rows, self.terms, self.shape = rows, terms, shape
-        self.start = torch.nn.functional.pad(torch.bincount(rows, minlength=shape[0]).cumsum(0), (1, 0))
+    def __init__(self, start: Int[Tensor, " rows"], terms: Int[Tensor, " terms"], size: int) -> None:
+        if max(len(terms), size) >= 2**31:
+            raise InputError(f"a matrix is a sum of {len(terms)} of {size} numbers; allowed: fewer than 2^31")
+        self.start, self.terms, self.size = start.to(torch.int32), terms.to(torch.int32), size
 
     @classmethod
     def of(cls, rows: Int[Tensor, " terms"], terms: Int[Tensor, " terms"], shape: tuple[int, int]) -> Sums:
-        """The map of terms in any order of their rows."""
+        """The map of terms in any order of their rows; shape: numbers of rows and of x."""
         order = torch.argsort(rows, stable=True)
-        return cls(rows[order], terms[order], shape)
+        counts = torch.bincount(rows, minlength=shape[0])
+        return cls(torch.nn.functional.pad(counts.cumsum(0), (1, 0)), terms[order], shape[1])
 
-    def selected(self, rows: Int[Tensor, " k"]) -> Sums:
-        """The map to some of the rows, in this order; a row may occur several times."""
-        count = self.start.diff()[rows]
-        row = torch.repeat_interleave(count)
-        within = torch.arange(len(row)) - (count.cumsum(0) - count)[row]
-        return Sums(row, self.terms[self.start[rows][row] + within], (len(rows), self.shape[1]))
+    @property
+    def _rows(self) -> Int[Tensor, " terms"]:
+        """The row of every term."""
+        return torch.repeat_interleave(self.start.diff())
 
     def __call__(self, *terms: Float[Tensor, "lanes x"]) -> Float[Tensor, "lanes y"]:
         """y of x."""
         (x,) = terms
         if (code := compiled_products(x)) is not None:
             return code.sums(self.start, self.terms, x)
-        return x.new_zeros(len(x), self.shape[0]).index_add(1, self.rows, x[:, self.terms])
+        return x.new_zeros(len(x), len(self.start) - 1).index_add(1, self._rows, x[:, self.terms])
 
     def adjoint(self, y: Float[Tensor, "lanes y"]) -> tuple[Float[Tensor, "lanes x"]]:
         """The transpose of the map: for every x the sum of the y that contain it."""
         if (code := compiled_products(y)) is not None:
-            return (code.transposed_sums(self.start, self.terms, y, self.shape[1]),)
-        return (y.new_zeros(len(y), self.shape[1]).index_add(1, self.terms, y[:, self.rows]),)
+            return (code.transposed_sums(self.start, self.terms, y, self.size),)
+        return (y.new_zeros(len(y), self.size).index_add(1, self.terms, y[:, self._rows]),)

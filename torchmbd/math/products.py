@@ -1,7 +1,8 @@
 """Products of the structure stage that an extension may make faster than operators of torch, one design after another.
 
     factorize, solve         A^-1 X of a block-tridiagonal matrix                      fem/reduction/blocks.py
-    solve_supernodes         A^-1 X by a sparse factor                                 fem/reduction/sparse_factor.py
+    supernodes               the entries of a sparse factor                            fem/reduction/sparse_factor.py
+    factorize_supernodes, solve_supernodes      A = L L', A^-1 X                       fem/reduction/sparse_factor.py
     lanczos                  steps of block Lanczos                                    fem/reduction/lanczos.py
     multiply_sparse          K X for many K of one pattern                             fem/reduction/forms.py
     products_at_pattern      Y X' at the entries of a pattern                          fem/reduction/forms.py
@@ -40,11 +41,11 @@ class Factor:
 
 
 class Supernodes(NamedTuple):
-    """A sparse factor P A P' = L L' by columns, those with the same rows beneath them together.
+    """Where a sparse factor P A P' = L L' has entries: its columns, those with the same rows beneath them together.
 
     first         first columns of supernodes, with the end [supernodes + 1]
     below_start   where the rows below the triangle of each begin [supernodes + 1], in `below` [rows]
-    start         where each column begins [N + 1], in `values` [entries]: the diagonal first, then down the column
+    start         where each column of L begins [N + 1] among its values: the diagonal first, then down the column
     order         rows of A in the order of L [N]
     """
 
@@ -52,7 +53,6 @@ class Supernodes(NamedTuple):
     below_start: Tensor
     below: Tensor
     start: Tensor
-    values: Tensor
     order: Tensor
 
 
@@ -68,7 +68,18 @@ class Products(ABC):
         """A^-1 X for columns [lane, N, p]."""
 
     @abstractmethod
-    def solve_supernodes(self, factor: Supernodes, X: Tensor) -> Tensor:
+    def supernodes(self, pattern: Pattern, order: Tensor) -> Supernodes:
+        """The supernodes of A on a pattern, after an order of its rows [N]."""
+
+    @abstractmethod
+    def factorize_supernodes(self, nodes: Supernodes, pattern: Pattern, A: Tensor) -> tuple[Tensor, float, int]:
+        """The values of L for A [nnz], the smallest pivot relative to its diagonal entry, and its row.
+
+        The pivot is -1 where the matrix is not definite.
+        """
+
+    @abstractmethod
+    def solve_supernodes(self, nodes: Supernodes, L: Tensor, X: Tensor) -> Tensor:
         """A^-1 X for columns [N, p]."""
 
     @abstractmethod

@@ -35,40 +35,40 @@ def _indices(name: str, indices: ArrayLike | Tensor, size: int) -> Tensor:
     return index
 
 
-@dataclass(frozen=True, eq=False)
 class Pattern:
     """The entries of a square symmetric matrix of `size` rows that may differ from zero; see the module header.
+
+    indptr   where each row starts among the values, numpy int32 [size + 1]; by symmetry each column, too
+    indices  the column of each value, numpy int32 [nnz]
 
     Raises InputError where coordinates are out of range, unsorted, repeated or without their mirror image.
     """
 
-    rows: Tensor
-    cols: Tensor
-    size: int
-
-    def __post_init__(self) -> None:
-        rows, cols = _indices("rows", self.rows, self.size), _indices("cols", self.cols, self.size)
-        if len(rows) != len(cols):
-            raise InputError(f"rows and cols have {len(rows)} and {len(cols)} entries; equally many are needed")
-        key = rows * self.size + cols
+    def __init__(self, rows: ArrayLike | Tensor, cols: ArrayLike | Tensor, size: int) -> None:
+        i, j = _indices("rows", rows, size), _indices("cols", cols, size)
+        if len(i) != len(j):
+            raise InputError(f"rows and cols have {len(i)} and {len(j)} entries; equally many are needed")
+        key = i * size + j
         if (key[1:] <= key[:-1]).any():
             k = int((key[1:] <= key[:-1]).nonzero()[0]) + 1
-            entry = (int(rows[k]), int(cols[k]))
+            entry = (int(i[k]), int(j[k]))
             raise InputError(f"coordinate {k} {entry} repeats or precedes its forerunner; use Pattern.gather to sort")
-        object.__setattr__(self, "rows", rows)
-        object.__setattr__(self, "cols", cols)
-        mirrored = (rows[self.transposed] == cols) & (cols[self.transposed] == rows)
-        if not mirrored.all():
-            missing = ~torch.isin(cols * self.size + rows, key, assume_unique=True)
+        counts = np.bincount(i.numpy(), minlength=size)
+        self._set(np.concatenate([[0], np.cumsum(counts)]), j.numpy(), size)
+        mirror = self.transposed
+        if not ((i[mirror] == j) & (j[mirror] == i)).all():
+            missing = ~torch.isin(j * size + i, key, assume_unique=True)
             k = int(missing.nonzero()[0])
-            raise InputError(f"entry ({int(rows[k])}, {int(cols[k])}) has no mirror image; store both triangles")
+            raise InputError(f"entry ({int(i[k])}, {int(j[k])}) has no mirror image; store both triangles")
+
+    def _set(self, indptr: np.ndarray, indices: np.ndarray, size: int) -> None:
+        self.indptr, self.indices, self.size = indptr.astype(np.int32), indices.astype(np.int32, copy=False), size
 
     @classmethod
-    def unchecked(cls, rows: Tensor, cols: Tensor, size: int) -> Pattern:
-        """A pattern of coordinates that are sorted, unique and symmetric by their construction; the checks take longer."""
+    def unchecked(cls, indptr: np.ndarray, indices: np.ndarray, size: int) -> Pattern:
+        """A pattern of sorted, unique and symmetric entries by their construction; the checks take longer."""
         pattern = object.__new__(cls)
-        for name, value in (("rows", rows), ("cols", cols), ("size", size)):
-            object.__setattr__(pattern, name, value)
+        pattern._set(indptr, indices, size)
         return pattern
 
     @staticmethod
@@ -83,23 +83,30 @@ class Pattern:
 
     @property
     def nnz(self) -> int:
-        return len(self.rows)
+        return len(self.indices)
+
+    @property
+    def rows(self) -> Tensor:
+        """The row of each value [nnz], made anew."""
+        return torch.from_numpy(np.repeat(np.arange(self.size), np.diff(self.indptr)))
+
+    @property
+    def cols(self) -> Tensor:
+        """The column of each value [nnz], made anew."""
+        return torch.from_numpy(self.indices.astype(np.int64))
 
     @cached_property
-    def indptr(self) -> np.ndarray:
-        """Where each row starts among the values, numpy int32 [size + 1]; by symmetry each column, too."""
-        counts = np.bincount(self.rows.numpy(), minlength=self.size)
-        return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-
-    @cached_property
-    def indices(self) -> np.ndarray:
-        """The column of each value, numpy int32 [nnz]."""
-        return self.cols.numpy().astype(np.int32)
+    def diagonal(self) -> Tensor:
+        """The positions of the values on the diagonal, as many as there are."""
+        rows = np.repeat(np.arange(self.size, dtype=np.int32), np.diff(self.indptr))
+        return torch.from_numpy(np.flatnonzero(self.indices == rows))
 
     @cached_property
     def transposed(self) -> Tensor:
         """For each value the position of its mirror image [nnz]: the values in the order of columns."""
-        return torch.argsort(self.cols, stable=True)
+        places = np.arange(self.nnz, dtype=np.int32)
+        by_rows = scipy.sparse.csr_array((places, self.indices, self.indptr), shape=(self.size, self.size))
+        return torch.from_numpy(by_rows.tocsc().data.astype(np.int64))
 
     def restrict(self, keep: ArrayLike | Tensor) -> tuple[Pattern, Tensor]:
         """Keep rows and columns `keep`, in that order: the smaller pattern, and the positions of its values.
@@ -111,11 +118,17 @@ class Pattern:
         row_of[kept] = torch.arange(len(kept))
         if int((row_of >= 0).sum()) != len(kept):
             raise InputError("keep names a row more than once; each at most once is allowed")
-        rows, cols = row_of[self.rows], row_of[self.cols]
-        positions = ((rows >= 0) & (cols >= 0)).nonzero().squeeze(-1)
+        column = row_of.numpy().astype(np.int32)[self.indices]
+        counted = (column >= 0) & np.repeat(row_of.numpy() >= 0, np.diff(self.indptr))
+        positions = np.flatnonzero(counted)
+        ends = np.concatenate([[0], np.cumsum(counted, dtype=np.int32)])[self.indptr]
+        counts = np.diff(ends)[kept.numpy()]
+        indptr = np.concatenate([[0], np.cumsum(counts)])
         if (kept[1:] < kept[:-1]).any():
-            positions = positions[torch.argsort(rows[positions] * len(kept) + cols[positions])]
-        return Pattern.unchecked(rows[positions], cols[positions], len(kept)), positions
+            rows = row_of.numpy()[np.repeat(np.arange(self.size), np.diff(self.indptr))[positions]]
+            positions = positions[np.lexsort((column[positions], rows))]
+        smaller = Pattern.unchecked(indptr, column[positions], len(kept))
+        return smaller, torch.from_numpy(positions.astype(np.int32))
 
     def to_scipy(self, values: Tensor | np.ndarray) -> scipy.sparse.csc_array:
         """One design's values [nnz] as a SciPy matrix (both triangles)."""

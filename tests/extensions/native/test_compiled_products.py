@@ -6,13 +6,11 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-import scipy.sparse
 import torch
 
 import torchmbd as mbd
 from torchmbd.extensions.native.compiled_products import CompiledProducts, Factor, compiled_products
 from torchmbd.fem.reduction.lanczos import Recurrence
-from torchmbd.fem.reduction.sparse_factor import supernodes
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -83,27 +81,40 @@ def test_solve_supernodes(p: int, monkeypatch: pytest.MonkeyPatch) -> None:
     block = torch.repeat_interleave(torch.arange(12), torch.tensor([3, 1, 9, 2, 6, 4, 5, 1, 7, 8, 2, 4]))
     near = (block[:, None] - block).abs() % 11 <= 1
     N, B = len(block), random(len(block), len(block))
+    pattern = Pattern(*near.nonzero().unbind(1), N)
     A = torch.where(near, B + B.mT, 0.0) + 40.0 * torch.eye(N, dtype=torch.float64)
-    order = torch.from_numpy(np.random.default_rng(p).permutation(N))
-    L = scipy.sparse.csc_array(torch.linalg.cholesky(A[order][:, order]).numpy())
-    factor = supernodes(L.indptr.astype(np.int64), L.indices.astype(np.int64), L.data, order.numpy())
+    nodes = code().supernodes(pattern, torch.from_numpy(np.random.default_rng(p).permutation(N)))
+    L, pivot, _ = code().factorize_supernodes(nodes, pattern, A[pattern.rows, pattern.cols])
+    order = nodes.order
+    squares = torch.linalg.cholesky(A[order][:, order]).diagonal() ** 2
+    close(torch.tensor(pivot, dtype=torch.float64), (squares / A.diagonal()[order]).min())
     X = random(N, p)
     solutions = []
     for count in (1, 3):
         with mbd.threads(count):
-            solutions.append(code().solve_supernodes(factor, X))
+            solutions.append(code().solve_supernodes(nodes, L, X))
     assert torch.equal(*solutions)
     close(solutions[0], torch.linalg.solve(A, X))
 
 
-def test_columns_with_the_same_rows_beneath_are_one_supernode() -> None:
-    L = scipy.sparse.csc_array(
-        np.array([[1.0, 0, 0, 0, 0], [2, 3, 0, 0, 0], [0, 0, 4, 0, 0], [5, 6, 7, 8, 0], [9, 1, 0, 2, 3]])
+def test_supernodes_merge_where_few_zeros_are_added() -> None:
+    """A chain: columns have two entries, so that three zeros make one supernode of four columns."""
+    near = (torch.arange(9)[:, None] - torch.arange(9)).abs() <= 1
+    nodes = code().supernodes(Pattern(*near.nonzero().unbind(1), 9), torch.arange(9))
+    assert int(nodes.start[-1]) == int((nodes.first.diff() * (nodes.first.diff() + 1) // 2).sum()) + int(
+        (nodes.first.diff() * nodes.below_start.diff()).sum()
     )
-    factor = supernodes(L.indptr.astype(np.int64), L.indices.astype(np.int64), L.data, np.arange(5))
-    assert factor.first.tolist() == [0, 2, 3, 5]
-    assert factor.below_start.tolist() == [0, 2, 3, 3]
-    assert factor.below.tolist() == [3, 4, 3]
+    assert nodes.first.diff().max() >= 4
+    assert all((nodes.below >= 1) & (nodes.below < 9))
+
+
+def test_the_row_of_a_pivot_that_is_not_positive() -> None:
+    near = (torch.arange(40)[:, None] - torch.arange(40)).abs() % 38 <= 2
+    pattern = Pattern(*near.nonzero().unbind(1), 40)
+    A = torch.where(pattern.rows == pattern.cols, 9.0, 1.0).double()
+    A[pattern.diagonal[23]] = -1.0
+    nodes = code().supernodes(pattern, torch.arange(40).flip(0))
+    assert code().factorize_supernodes(nodes, pattern, A)[1:] == (-1.0, 23)
 
 
 @pytest.mark.parametrize("p", COLUMNS)

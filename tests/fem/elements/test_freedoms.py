@@ -58,8 +58,8 @@ def test_reduced_values_are_those_of_the_product(held, links):
     plate = PlateMatrices(MESH, GENERAL)
     values = plate.stiffness(GENERAL.entries().detach()).values
     K, T = plate.stiffness(GENERAL.entries().detach()).dense(), dense(freedoms)
-    pattern, source, position, factor = freedoms.reduced(plate.pattern)
-    small = torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, position, values[source] * factor)
+    entries = freedoms.reduced(plate.pattern)
+    pattern, small = entries.pattern, entries.values(values[entries.source])
     result = torch.zeros(pattern.size, pattern.size, dtype=torch.float64)
     result[pattern.rows, pattern.cols] = small
     assert_close(result, T.T @ K @ T, rtol=1e-10, atol=1e-12 * float(K.max()))

@@ -1,4 +1,4 @@
-"""Sparse factors, by CHOLMOD and by SuperLU, against blocks and dense matrices."""
+"""Sparse factors, by compiled code, CHOLMOD and SuperLU, against blocks and dense matrices."""
 
 import pytest
 import torch
@@ -13,18 +13,20 @@ from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.elimination import Solver, factorize, layout, seconds_of_blocks, seconds_of_fill
 from torchmbd.fem.reduction.forms import Diagonal, Sparse
 from torchmbd.fem.reduction.partition import Partition, partition
-from torchmbd.fem.reduction.sparse_factor import Cholmod, SparseLayout, SuperLU
+from torchmbd.fem.reduction.sparse_factor import Cholmod, SparseLayout, SuperLU, Supernodal
 from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.fem.reduction.static import StaticLoads
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 
-@pytest.fixture(params=["cholmod", "superlu"])
+@pytest.fixture(params=["supernodal", "cholmod", "superlu"])
 def sparse(request, monkeypatch):
     """All matrices have sparse factors, by this library."""
-    if request.param == "cholmod":
+    if request.param != "superlu":
         pytest.importorskip("cvxopt")
-    kind = {"cholmod": Cholmod, "superlu": SuperLU}[request.param]
+    if request.param == "supernodal" and not sparse_factor.solves_columns_together():
+        pytest.skip("no compiled code")
+    kind = {"supernodal": Supernodal, "cholmod": Cholmod, "superlu": SuperLU}[request.param]
     monkeypatch.setattr(sparse_factor, "library", lambda size: kind)
     monkeypatch.setattr(elimination, "seconds_of_fill", lambda *patterns: 0.0)
 

@@ -344,7 +344,7 @@ void backward(const Supernode& s, double* x) {
 
 // P' L'^-1 L^-1 P X [N][p] by strips of columns; the arrays of `Supernodes` (math/products.py).
 extern "C" void solve_supernodes(long begin, long end, long N, long supernodes, const long* first, const long* below_start,
-                                 const long* below, const long* start, const double* values, const long* order, const double* X,
+                                 const long* below, const long* start, const long* order, const double* values, const double* X,
                                  double* out, long p) {
   Buffer x(N * STRIP);
   const auto node = [&](long s) {
@@ -491,6 +491,243 @@ extern "C" long conjugate_gradients(long begin, long end, const Factor* f, const
   return 0;
 }
 
+// Supernodes of P A P' = L L': groups of columns with the same rows below their triangle. `order` becomes a postorder of the
+// elimination tree; returns how many supernodes there are. Small ones are merged with their parent where that adds few zeros,
+// by the shares of CHOLMOD. first [supernodes + 1], below_start [supernodes + 1], as in products.py; both have room for N + 1.
+extern "C" long supernode_bounds(long N, const int* indptr, const int* indices, long* order, long* first, long* below_start) {
+  const int none = -1;
+  std::vector<int> inverse(N), parent(N, none), ancestor(N, none), child(N, none), sibling(N, none), place(N), stack;
+  for (long k = 0; k < N; k++) inverse[order[k]] = (int)k;
+  for (int k = 0; k < N; k++)
+    for (int e = indptr[order[k]]; e < indptr[order[k] + 1]; e++)
+      for (int j = inverse[indices[e]], next; j != none && j < k; j = next) {
+        next = ancestor[j];
+        ancestor[j] = k;
+        if (next == none) parent[j] = k;
+      }
+  for (int k = (int)N - 1; k >= 0; k--)
+    if (parent[k] != none) sibling[k] = child[parent[k]], child[parent[k]] = k;
+  std::vector<long> before(order, order + N);
+  int placed = 0;
+  for (int k = 0; k < N; k++) {
+    if (parent[k] != none) continue;
+    stack.push_back(k);
+    while (!stack.empty()) {
+      const int top = stack.back(), next = child[top];
+      if (next != none) {
+        child[top] = sibling[next];
+        stack.push_back(next);
+      } else {
+        stack.pop_back();
+        order[placed] = before[top];
+        place[top] = placed++;
+      }
+    }
+  }
+  std::vector<int> above(N, none), mark(N, none), count(N, 1);
+  for (long k = 0; k < N; k++) inverse[order[k]] = (int)k;
+  for (long k = 0; k < N; k++)
+    if (parent[k] != none) above[place[k]] = place[parent[k]];
+  for (int k = 0; k < N; k++) {
+    mark[k] = k;
+    for (int e = indptr[order[k]]; e < indptr[order[k] + 1]; e++)
+      for (int j = inverse[indices[e]]; j < k && mark[j] != k; j = above[j]) count[j]++, mark[j] = k;
+  }
+  struct Node {
+    long first, width, below, zeros;
+  };
+  const auto entries = [](long width, long below) { return width * (width + 1) / 2 + width * below; };
+  const auto cheap = [](long width, double zeros) { return width <= 4 || zeros < (width <= 16 ? 0.8 : width <= 48 ? 0.1 : 0.05); };
+  std::vector<Node> nodes;
+  for (long k = 0; k < N;) {
+    long end = k + 1;
+    while (end < N && above[end - 1] == end && count[end - 1] == count[end] + 1) end++;
+    nodes.push_back({k, end - k, count[k] - (end - k), 0});
+    k = end;
+    while (nodes.size() > 1) {
+      const Node last = nodes.back(), inner = nodes[nodes.size() - 2];
+      const int up = above[last.first - 1];
+      if (up < last.first || up >= last.first + last.width) break;
+      const long width = inner.width + last.width, zeros = inner.zeros + last.zeros + inner.width * (last.width + last.below - inner.below);
+      if (!cheap(width, (double)zeros / entries(width, last.below))) break;
+      nodes.resize(nodes.size() - 2);
+      nodes.push_back({inner.first, width, last.below, zeros});
+    }
+  }
+  below_start[0] = 0;
+  for (size_t s = 0; s < nodes.size(); s++) {
+    first[s] = nodes[s].first;
+    below_start[s + 1] = below_start[s] + nodes[s].below;
+  }
+  first[nodes.size()] = N;
+  return (long)nodes.size();
+}
+
+namespace {
+// The supernodes that have s as their parent, the one with the first of the rows below.
+struct Children {
+  std::vector<int> head, next;
+  Children(long supernodes) : head(supernodes, -1), next(supernodes, -1) {}
+  void add(long parent, long s) { next[s] = head[parent], head[parent] = (int)s; }
+};
+
+std::vector<int> inverse_of(const long* order, long N) {
+  std::vector<int> inverse(N);
+  for (long k = 0; k < N; k++) inverse[order[k]] = (int)k;
+  return inverse;
+}
+
+std::vector<int> node_of_column(const long* first, long supernodes, long N) {
+  std::vector<int> node(N);
+  for (long s = 0; s < supernodes; s++)
+    for (long k = first[s]; k < first[s + 1]; k++) node[k] = (int)s;
+  return node;
+}
+}  // namespace
+
+// The rows below the triangle of each supernode, in rising order.
+extern "C" void supernode_rows(long N, const int* indptr, const int* indices, const long* order, long supernodes, const long* first,
+                               const long* below_start, long* below) {
+  const std::vector<int> inverse = inverse_of(order, N), node = node_of_column(first, supernodes, N);
+  std::vector<long> mark(N, -1);
+  Children children(supernodes);
+  for (long s = 0; s < supernodes; s++) {
+    const long end = first[s + 1];
+    long* to = below + below_start[s];
+    const auto add = [&](long row) {
+      if (row >= end && mark[row] != s) mark[row] = s, *to++ = row;
+    };
+    for (long k = first[s]; k < end; k++)
+      for (int e = indptr[order[k]]; e < indptr[order[k] + 1]; e++) add(inverse[indices[e]]);
+    for (int c = children.head[s]; c >= 0; c = children.next[c])
+      for (long e = below_start[c]; e < below_start[c + 1]; e++) add(below[e]);
+    std::sort(below + below_start[s], to);
+    if (below_start[s + 1] > below_start[s]) children.add(node[below[below_start[s]]], s);
+  }
+}
+
+namespace {
+constexpr long PANEL = 64, NARROW_PANEL = 8;
+
+// The lower triangle of a front of r rows: columns of P numbers.
+struct Front {
+  double* at;
+  long r, P;
+
+  // Subtracts from columns j0 ... j1 their products with columns c0 ... c1, from row j0 on.
+  void subtract(long c0, long c1, long j0, long j1) const {
+    constexpr long widest = WIDTH == 8 ? 24 : 8;
+    for (long i = j0; i < r;) {
+      const long strip = std::min(widest, padded(r - i)), count = std::min(j1, i + strip) - j0;
+      const Left left{at + c0 * P + j0, 1, P};
+      const double* B = at + c0 * P + i;
+      double* C = at + j0 * P + i;
+      if constexpr (WIDTH == 8) {
+        if (strip == 24) panel<6, 3, true>(count, c1 - c0, left, B, C, P);
+        if (strip == 16) panel<8, 2, true>(count, c1 - c0, left, B, C, P);
+        if (strip == 8) panel<8, 1, true>(count, c1 - c0, left, B, C, P);
+      } else {
+        panel<6, 8 / WIDTH, true>(count, c1 - c0, left, B, C, P);
+      }
+      i += strip;
+    }
+  }
+
+  // Factorizes columns c0 ... c1; returns the column whose pivot is not positive, or -1. `pivots`: the squares of the diagonal.
+  long columns(long c0, long c1, double* pivots) const {
+    for (long c = c0; c < c1; c++) {
+      double* column = at + c * P;
+      if (!(column[c] > 0.0)) return c;
+      pivots[c] = column[c];
+      const double scale = 1.0 / std::sqrt(column[c]);
+      for (long i = c; i < r; i++) column[i] *= scale;
+      for (long k = c + 1; k < c1; k++) {
+        double* other = at + k * P;
+        const double factor = column[k];
+        for (long i = k; i < r; i++) other[i] -= factor * column[i];
+      }
+    }
+    return -1;
+  }
+
+  // Factorizes the first `width` columns, and leaves in the others what is to be added to the parent.
+  long factorize(long width, double* pivots) const {
+    for (long a = 0; a < width; a += PANEL) {
+      const long end = std::min(a + PANEL, width);
+      for (long c = a; c < end; c += NARROW_PANEL) {
+        const long next = std::min(c + NARROW_PANEL, end), weak = columns(c, next, pivots);
+        if (weak >= 0) return weak;
+        if (next < end) subtract(c, next, next, end);
+      }
+      if (end < r) subtract(a, end, end, r);
+    }
+    return -1;
+  }
+};
+}  // namespace
+
+// Values of L [lane][entries] for A [lane][nnz], whose pattern has both triangles: multifrontal, children before their parents.
+// pivot [lane]: the smallest relative to its diagonal entry, -1 where one is not positive; weakest [lane]: its row of A.
+extern "C" void factorize_supernodes(long begin, long end, long N, long supernodes, const int* indptr, const int* indices,
+                                     const long* first, const long* below_start, const long* below, const long* start,
+                                     const long* order, const double* A, double* L, double* pivot, long* weakest) {
+  const std::vector<int> inverse = inverse_of(order, N), node = node_of_column(first, supernodes, N);
+  std::vector<int> place(N);
+  long largest = 0;
+  for (long s = 0; s < supernodes; s++) {
+    const long r = first[s + 1] - first[s] + below_start[s + 1] - below_start[s];
+    largest = std::max(largest, r * (padded(r) + 8));
+  }
+  Buffer numbers(largest), waiting, pivots, diagonal;
+  std::vector<size_t> waiting_from(supernodes);
+  for (long lane = begin; lane < end; lane++) {
+    const double* values = A + lane * indptr[N];
+    double* to = L + lane * start[N];
+    Children children(supernodes);
+    waiting.clear();
+    pivot[lane] = INFINITY, weakest[lane] = -1;
+    for (long s = 0; s < supernodes && pivot[lane] >= 0.0; s++) {
+      const long width = first[s + 1] - first[s], beneath = below_start[s + 1] - below_start[s], r = width + beneath;
+      const Front front{numbers.data(), r, padded(r) + 8};
+      const long* rows = below + below_start[s];
+      std::fill(front.at, front.at + r * front.P, 0.0);
+      for (long t = 0; t < width; t++) place[first[s] + t] = (int)t;
+      for (long t = 0; t < beneath; t++) place[rows[t]] = (int)(width + t);
+      pivots.assign(width, 0.0), diagonal.assign(width, 0.0);
+      for (long t = 0; t < width; t++) {
+        const long row = order[first[s] + t];
+        for (int e = indptr[row]; e < indptr[row + 1]; e++) {
+          const int k = inverse[indices[e]];
+          if (k >= first[s] + t) front.at[t * front.P + place[k]] = values[e];
+        }
+        diagonal[t] = front.at[t * front.P + t];
+      }
+      size_t from = waiting.size();
+      for (int c = children.head[s]; c >= 0; c = children.next[c]) {
+        const long *at = below + below_start[c], count = below_start[c + 1] - below_start[c];
+        const double* sum = waiting.data() + waiting_from[c];
+        from = std::min(from, waiting_from[c]);
+        for (long j = 0; j < count; j++) {
+          double* column = front.at + place[at[j]] * front.P;
+          for (long i = j; i < count; i++) column[place[at[i]]] += *sum++;
+        }
+      }
+      waiting.resize(from);
+      const long weak = front.factorize(width, pivots.data());
+      for (long t = 0; t < (weak < 0 ? width : weak); t++)
+        if (pivots[t] < pivot[lane] * std::abs(diagonal[t])) pivot[lane] = pivots[t] / std::abs(diagonal[t]), weakest[lane] = order[first[s] + t];
+      if (weak >= 0) pivot[lane] = -1.0, weakest[lane] = order[first[s] + weak];
+      for (long t = 0; t < width; t++) std::memcpy(to + start[first[s] + t], front.at + t * front.P + t, (r - t) * sizeof(double));
+      if (!beneath) continue;
+      waiting_from[s] = waiting.size();
+      waiting.resize(waiting.size() + beneath * (beneath + 1) / 2);
+      double* sum = waiting.data() + waiting_from[s];
+      for (long t = width; t < r; t++, sum += r + 1 - t) std::memcpy(sum, front.at + t * front.P + t, (r - t) * sizeof(double));
+      children.add(node[rows[0]], s);
+    }
+  }
+}
+
 // Rows [i <= j][a][A] of d_i d_j' of one point, d [r][s][A] with A = padded(a); with e: d_i e_j' + e_i d_j'.
 static void outer(const double* d, const double* e, long r, long s, long a, long A, double* rows) {
   for (long i = 0; i < r; i++)
@@ -572,19 +809,19 @@ extern "C" void quadratic_slopes(long begin, long end, long k, long points, long
 }
 
 // y [lane][rows]: of every row the sum of x [lane][size] over its terms, those from start[row] on.
-extern "C" void sums(long begin, long end, long rows, long size, const long* start, const long* term, const double* x, double* y) {
+extern "C" void sums(long begin, long end, long rows, long size, const int* start, const int* term, const double* x, double* y) {
   for (long lane = begin; lane < end; lane++)
     for (long k = 0; k < rows; k++) {
       double sum = 0.0;
-      for (long e = start[k]; e < start[k + 1]; e++) sum += x[lane * size + term[e]];
+      for (int e = start[k]; e < start[k + 1]; e++) sum += x[lane * size + term[e]];
       y[lane * rows + k] = sum;
     }
 }
 
 // The transpose, added to x [lane][size].
-extern "C" void transposed_sums(long begin, long end, long rows, long size, const long* start, const long* term, const double* y,
+extern "C" void transposed_sums(long begin, long end, long rows, long size, const int* start, const int* term, const double* y,
                                 double* x) {
   for (long lane = begin; lane < end; lane++)
     for (long k = 0; k < rows; k++)
-      for (long e = start[k]; e < start[k + 1]; e++) x[lane * size + term[e]] += y[lane * rows + k];
+      for (int e = start[k]; e < start[k + 1]; e++) x[lane * size + term[e]] += y[lane * rows + k];
 }

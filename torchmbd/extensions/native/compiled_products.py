@@ -78,12 +78,35 @@ class CompiledProducts(Products):
         self._run("solve", len(X), _size(factor) * columns, _struct(factor), *_pointers(X, out), c_long(columns))
         return out
 
-    def solve_supernodes(self, factor: Supernodes, X: Tensor) -> Tensor:
+    def supernodes(self, pattern: Pattern, order: Tensor) -> Supernodes:
+        N, order = pattern.size, order.clone()
+        first, below_start = torch.empty(2, N + 1, dtype=torch.long)
+        function = self._code.supernode_bounds
+        function.restype = c_long
+        count = function(c_long(N), *_indices(pattern), *_pointers(order, first, below_start))
+        first, below_start = first[: count + 1].clone(), below_start[: count + 1].clone()
+        below = torch.empty(int(below_start[-1]), dtype=torch.long)
+        structure = _pointers(first, below_start, below)
+        self._code.supernode_rows(c_long(N), *_indices(pattern), *_pointers(order), c_long(count), *structure)
+        width = first.diff()
+        heights = torch.repeat_interleave(first[1:] + below_start.diff(), width) - torch.arange(N)
+        start = torch.nn.functional.pad(heights.cumsum(0), (1, 0))
+        return Supernodes(first, below_start, below, start, order)
+
+    def factorize_supernodes(self, nodes: Supernodes, pattern: Pattern, A: Tensor) -> tuple[Tensor, float, int]:
+        L, pivot = A.new_empty(int(nodes.start[-1])), A.new_empty(1)
+        weakest, A = torch.empty(1, dtype=torch.long), A.contiguous()
+        numbers = map(c_long, (pattern.size, len(nodes.first) - 1))
+        arrays = _pointers(*nodes, A, L, pivot, weakest)
+        self._run("factorize_supernodes", 1, len(L), *numbers, *_indices(pattern), *arrays)
+        return L, pivot.item(), int(weakest)
+
+    def solve_supernodes(self, nodes: Supernodes, L: Tensor, X: Tensor) -> Tensor:
         X = X.contiguous()
         out, columns = torch.empty_like(X), X.shape[1]
-        numbers = map(c_long, (len(factor.order), len(factor.first) - 1))
-        strips, work = -(-columns // STRIP), STRIP * len(factor.values)
-        self._run("solve_supernodes", strips, work, *numbers, *_pointers(*factor, X, out), c_long(columns))
+        numbers = map(c_long, (len(nodes.order), len(nodes.first) - 1))
+        strips, work = -(-columns // STRIP), STRIP * len(L)
+        self._run("solve_supernodes", strips, work, *numbers, *_pointers(*nodes, L, X, out), c_long(columns))
         return out
 
     def lanczos(

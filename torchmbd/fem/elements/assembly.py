@@ -25,7 +25,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.errors import warn
-from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
+from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion, ReducedEntries
 from torchmbd.fem.elements.geometric import StressedCells, assembled_geometric_stiffness
 from torchmbd.fem.elements.links import Follower
 from torchmbd.fem.elements.part import LosingPart, MassPoints, Part
@@ -61,23 +61,29 @@ class Assembly:
         self.mesh, self.parts = mesh, dict(parts)
         self.freedoms = Freedoms(mesh.nodes, held, links, means=means)
         points = [part.masses() for part in self.parts.values()]
-        absent = self._absent(points)
+        entries = self._reduced_entries()
+        absent = self._absent(points, entries)
         if len(absent):
             self.freedoms = Freedoms(mesh.nodes, held, links, absent, means)
+            entries = self._reduced_entries()
         self._ends = torch.cat([p.ends for p in points])
         self._lumped = bool((self._ends[:, 0] == self._ends[:, 1]).all())
-        self._prepare_stiffness()
+        self._prepare_stiffness(entries)
         arms = any(p.arm is not None for p in points)
         self.diagonal = self._lumped and self.freedoms.plain and not arms
         self._entries = torch.arange(36) if arms else 7 * torch.arange(6)  # of a point's 6 x 6 inertia
         if not self.diagonal:
             self._prepare_mass()
 
-    def _absent(self, points: Sequence[MassPoints]) -> Int[Tensor, " k"]:
+    def _reduced_entries(self) -> list[ReducedEntries]:
+        """Entries of K of each part at the free freedoms."""
+        return [self.freedoms.reduced(part.pattern) for part in self.parts.values()]
+
+    def _absent(self, points: Sequence[MassPoints], entries: Sequence[ReducedEntries]) -> Int[Tensor, " k"]:
         """Return the free freedoms without stiffness, such as rotations of nodes of solids; warn of those with mass."""
         used = torch.zeros(len(self.freedoms.free), dtype=torch.bool)
-        for part in self.parts.values():
-            used[self.freedoms.reduced(part.pattern)[0].rows] = True
+        for part in entries:
+            used |= torch.from_numpy(np.diff(part.pattern.indptr) > 0)
         if bool(used.all()):
             return torch.zeros(0, dtype=torch.long)
         full = torch.zeros(6 * len(self.mesh.nodes), dtype=torch.bool)
@@ -98,19 +104,15 @@ class Assembly:
             )
         return self.freedoms.free[~used]
 
-    def _prepare_stiffness(self) -> None:
-        """Find (source, position, factor) of the values of each part in the common pattern of the free freedoms."""
-        reduced = [self.freedoms.reduced(part.pattern) for part in self.parts.values()]
-        if len(reduced) == 1:
-            self.pattern, positions = reduced[0][0], [torch.arange(reduced[0][0].nnz)]
-        else:
-            rows, cols = (torch.cat([getattr(pattern, name) for pattern, *_ in reduced]) for name in ("rows", "cols"))
-            self.pattern, position = Pattern.gather(rows, cols, len(self.freedoms.free))
-            positions = list(position.split([pattern.nnz for pattern, *_ in reduced]))
-        self._value_positions = [
-            (source, place[position], factor)
-            for (_, source, position, factor), place in zip(reduced, positions, strict=True)
-        ]
+    def _prepare_stiffness(self, entries: list[ReducedEntries]) -> None:
+        """Find the entries of each part in the common pattern of the free freedoms."""
+        if len(entries) == 1:
+            self.pattern, self._entries_of_parts = entries[0].pattern, entries
+            return
+        rows, cols = (torch.cat([getattr(part.pattern, name) for part in entries]) for name in ("rows", "cols"))
+        self.pattern, position = Pattern.gather(rows, cols, len(self.freedoms.free))
+        places = position.split([part.pattern.nnz for part in entries])
+        self._entries_of_parts = [part.at(place, self.pattern) for part, place in zip(entries, places, strict=True)]
 
     def _prepare_mass(self) -> None:
         """Find the entries of M for each mass point: a quarter of its inertia for each two ends of its node pair."""
@@ -119,25 +121,25 @@ class Assembly:
         pairs = torch.stack([ends[:, [0, 0, 1, 1]], ends[:, [0, 1, 0, 1]]], dim=-1)  # [points, 4, 2]
         rows, cols = (6 * pairs[..., k, None] + local for k, local in ((0, i), (1, j)))  # [points, 4, entries]
         pattern, entry = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(self.mesh.nodes))
-        self.mass_pattern, source, position, factor = self.freedoms.reduced(pattern)
+        self._reduced_mass = self.freedoms.reduced(pattern)
+        self.mass_pattern = self._reduced_mass.pattern
         # M values = sum over (point, corner, entry) with the weight 1/4, then through T.
         self._mass_entry, self._mass_size = entry, pattern.nnz
-        self._mass_source, self._mass_position, self._mass_factor = source, position, factor
 
     def stiffness(self) -> SparseMatrix:
         """K of the free freedoms."""
-        return self._joined([part.values(source) for part, (source, *_) in self._sources])
+        return self._joined([part.values(entries.source) for part, entries in self._sources])
 
     def loss_stiffness(self) -> SparseMatrix | None:
         """Derivative of K of the free freedoms where the moduli of each ply grow by its loss factor; None without them."""
         if not any(isinstance(part, LosingPart) and part.loses for part in self.parts.values()):
             return None
         values = []
-        for part, (source, *_) in self._sources:
+        for part, entries in self._sources:
             if isinstance(part, LosingPart) and part.loses:
-                values.append(part.loss_values(source))
+                values.append(part.loss_values(entries.source))
             else:
-                values.append(torch.zeros(len(source), dtype=torch.float64))
+                values.append(torch.zeros(len(entries.source), dtype=torch.float64))
         return self._joined(values)
 
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
@@ -148,27 +150,22 @@ class Assembly:
         """Geometric stiffness of the free freedoms under the stress of k motions of all nodes, lanes [*lanes, k]."""
         k = motion.shape[-1]
         values = []
-        for part, (source, *_) in self._sources:
+        for part, entries in self._sources:
             cells = part.stressed(motion)
             whole = (
                 assembled_geometric_stiffness(part.pattern, cells) if cells else motion.new_zeros(k, part.pattern.nnz)
             )
-            values.append(whole[..., source])
+            values.append(whole[..., entries.source])
         return self._joined(values)
 
     @property
-    def _sources(self) -> list[tuple[Part, tuple[Tensor, Tensor, Tensor]]]:
-        return list(zip(self.parts.values(), self._value_positions, strict=True))
+    def _sources(self) -> list[tuple[Part, ReducedEntries]]:
+        return list(zip(self.parts.values(), self._entries_of_parts, strict=True))
 
     def _joined(self, values: list[Tensor]) -> SparseMatrix:
         """Return the matrix of the free freedoms from the values of all parts."""
-        if len(values) == 1 and self.freedoms.plain:
-            return SparseMatrix(self.pattern, values[0], symmetric=True)
-        lanes = np.broadcast_shapes(*(v.shape[:-1] for v in values))
-        total = values[0].new_zeros(*lanes, self.pattern.nnz)
-        for (_, position, factor), v in zip(self._value_positions, values, strict=True):
-            total = total.index_add(-1, position, (v * factor).expand(*lanes, -1))
-        return SparseMatrix(self.pattern, total, symmetric=True)
+        first, *others = (part.values(v) for part, v in zip(self._entries_of_parts, values, strict=True))
+        return SparseMatrix(self.pattern, sum(others, first), symmetric=True)
 
     def masses(self) -> MassPoints:
         """All mass points."""
@@ -195,9 +192,7 @@ class Assembly:
             return full.index_add(-2, self._ends[:, 0], inertia).flatten(-2)[..., self.freedoms.free]
         corners = (inertia[..., None, :] / 4.0).expand(*inertia.shape[:-1], 4, -1).flatten(-3)
         values = mass.new_zeros(*mass.shape[:-1], self._mass_size).index_add(-1, self._mass_entry, corners)
-        small = mass.new_zeros(*mass.shape[:-1], self.mass_pattern.nnz)
-        small = small.index_add(-1, self._mass_position, values[..., self._mass_source] * self._mass_factor)
-        return SparseMatrix(self.mass_pattern, small)
+        return SparseMatrix(self.mass_pattern, self._reduced_mass.values(values[..., self._reduced_mass.source]))
 
     def mass_positions(self, x: Float[Tensor, "n 3"], arm: Tensor | None) -> Float[Tensor, "*lanes points 3"]:
         """Positions of the mass points on these arms, from those of the nodes."""

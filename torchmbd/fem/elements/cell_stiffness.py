@@ -25,6 +25,7 @@ from torchmbd.fem.elements.quad import quad_strains
 from torchmbd.fem.elements.strains import Strains
 from torchmbd.fem.elements.triangle import triangle_strains
 from torchmbd.fem.materials import ENTRIES, IsotropicMean, LaminateStiffness
+from torchmbd.math.distinct_rows import distinct_rows
 
 #: The element of each kind of cell (strains.py says what an element is).
 ELEMENTS: dict[str, Callable[[Facets, IsotropicMean], Strains]] = {
@@ -43,9 +44,7 @@ def distinct_shapes(plane: Facets) -> tuple[Int[Tensor, " shapes"], Int[Tensor, 
     for x in vars(plane).values():
         flat = x.to(torch.float64).flatten(1) if x.dim() > 1 else x[:, None]
         columns.append((flat / (_SAME * flat.abs().max()).clamp_min(torch.finfo(flat.dtype).tiny)).round())
-    shapes, shape = torch.unique(torch.cat(columns, 1), dim=0, return_inverse=True)
-    order = torch.arange(len(shape))
-    return order.new_full((len(shapes),), len(shape)).scatter_reduce(0, shape, order, "amin"), shape
+    return distinct_rows(torch.cat(columns, 1))
 
 
 class CellStiffness:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import scipy.linalg
 import torch
@@ -31,6 +32,30 @@ class MeanMotion:
 
     nodes: tuple[int, ...]
     matrix: Float[Tensor, "6 k"]
+
+
+class ReducedEntries(NamedTuple):
+    """Entries of T' K T on its pattern: values[position] += factor * values_of_K[source].
+
+    position and factor are None where T only selects: values = values_of_K[source].
+    """
+
+    pattern: Pattern
+    source: Int[Tensor, " terms"]
+    position: Int[Tensor, " terms"] | None
+    factor: Float[Tensor, " terms"] | None
+
+    def at(self, place: Int[Tensor, " nnz"], pattern: Pattern) -> ReducedEntries:
+        """The same sums in a larger pattern, which has entry k at place[k]."""
+        position = place if self.position is None else place[self.position]
+        return ReducedEntries(pattern, self.source, position, self.factor)
+
+    def values(self, at_source: Float[Tensor, "*lanes terms"]) -> Float[Tensor, "*lanes nnz"]:
+        """Values of T' K T from the values of K at `source`."""
+        if self.position is None:
+            return at_source
+        terms = at_source if self.factor is None else at_source * self.factor
+        return terms.new_zeros(*terms.shape[:-1], self.pattern.nnz).index_add(-1, self.position, terms)
 
 
 class Freedoms:
@@ -88,21 +113,21 @@ class Freedoms:
         order = torch.argsort(torch.cat(rows), stable=True)
         self.rows, self.cols, self.factor = (torch.cat(part)[order] for part in (rows, cols, factor))
 
-    def reduced(self, pattern: Pattern) -> tuple[Pattern, Tensor, Tensor, Tensor]:
-        """Return the pattern of T' K T and (source, position, factor): values[position] += factor * values_of_K[source]."""
+    def reduced(self, pattern: Pattern) -> ReducedEntries:
+        """Return the entries of T' K T for K on a pattern."""
         if self.plain:
-            small, source = pattern.restrict(self.free)
-            return small, source, torch.arange(small.nnz), self.factor.new_ones(small.nnz)
+            return ReducedEntries(*pattern.restrict(self.free), None, None)
         count = torch.bincount(self.rows, minlength=6 * self.nodes)
         first = count.cumsum(0) - count
-        pairs = count[pattern.rows] * count[pattern.cols]
+        rows, cols = pattern.rows, pattern.cols
+        pairs = count[rows] * count[cols]
         source = torch.repeat_interleave(pairs)
         within = torch.arange(len(source)) - (pairs.cumsum(0) - pairs)[source]
-        r, c = pattern.rows[source], pattern.cols[source]
+        r, c = rows[source], cols[source]
         row_entry = first[r] + torch.div(within, count[c], rounding_mode="floor")
         col_entry = first[c] + within % count[c]
         small, position = Pattern.gather(self.cols[row_entry], self.cols[col_entry], len(self.free))
-        return small, source, position, self.factor[row_entry] * self.factor[col_entry]
+        return ReducedEntries(small, source, position, self.factor[row_entry] * self.factor[col_entry])
 
     def expand(self, vectors: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes n 6 k"]:
         """Return T times columns: the motion of all nodes."""

@@ -28,14 +28,16 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.fem.elements.cell_blocks import CellBlocks
 from torchmbd.fem.elements.cell_stiffness import ELEMENTS, CellStiffness, distinct_shapes
 from torchmbd.fem.elements.facet import Facets, facets
 from torchmbd.fem.elements.strains import ShearRecovery, Strains
 from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness, ply_maps, present_mean
 from torchmbd.fem.mesh import Mesh, directed_area
+from torchmbd.math.distinct_rows import distinct_rows
 from torchmbd.math.gradients import in_transform, is_differentiated, untransformed
 from torchmbd.math.linear_map import Sums, apply_linear
-from torchmbd.math.sparse import Pattern, SparseMatrix
+from torchmbd.math.sparse import SparseMatrix
 
 _SAME = 1e-9  # of constants: what rounding makes of a mean
 
@@ -134,24 +136,35 @@ class PlateMatrices:
         nodes, area, *_ = self.covering_triangles
         thirds = (area / 3.0)[:, None].expand(-1, 3).flatten()
         self.area = area.new_zeros(len(mesh.nodes)).index_add(0, nodes.flatten(), thirds)
-        self._whole = self._numbers()
-        self._picked: list[tuple[Tensor, _Numbers]] = []  # for each choice of entries, of a body and its load cases
+        self._blocks = CellBlocks([group.corners for group in self.kinds.values()], len(self.mesh.nodes))
+        self.pattern = self._blocks.pattern
+        self._prepare_variants()
+        self._maps: list[
+            tuple[Tensor | None, _Numbers]
+        ] = []  # for each choice of entries, of a body and its load cases
 
-    def _numbers(self) -> _Numbers:
-        """Find the pattern of K and return the map to its numbers."""
-        self.pattern, positions = _block_pattern([group.corners for group in self.kinds.values()], len(self.mesh.nodes))
-        made, sources, count = [], [], 0
+    def _prepare_variants(self) -> None:
+        """Find the variants of cells, and the first number of each cell."""
         self.variants: list[tuple[CellStiffness, Tensor]] = []  # of each kind: its matrices, and which one a cell has
         laminates = self.zones.split([len(group.shape) for group in self.kinds.values()])
         for group, laminate in zip(self.kinds.values(), laminates, strict=True):
-            variants, variant = torch.unique(torch.stack([group.shape, laminate], 1), dim=0, return_inverse=True)
-            cell = CellStiffness(group.strains, variants, self.laminates)
-            sources.append((count + variant[:, None] * cell.each + cell.entry_index.flatten()).flatten())
-            made.append(cell)
-            self.variants.append((cell, variant))
+            example, variant = distinct_rows(torch.stack([group.shape, laminate], 1))
+            variants = torch.stack([group.shape, laminate], 1)[example]
+            self.variants.append((CellStiffness(group.strains, variants, self.laminates), variant))
+
+    def _map(self, entries: Tensor | None) -> _Numbers:
+        """The map to chosen entries of the pattern; None: to all."""
+        for choice, numbers in self._maps:
+            if choice is entries:
+                return numbers
+        first, count = [], 0
+        for cell, variant in self.variants:
+            first.append(count + variant * cell.each)
             count += cell.numbers
-        position = torch.cat([x.flatten() for x in positions])
-        return _Numbers(made, Sums.of(position, torch.cat(sources), (self.pattern.nnz, count)))
+        cells = [cell for cell, _ in self.variants]
+        numbers = _Numbers(cells, self._blocks.sums(first, [cell.entry_index for cell in cells], count, entries))
+        self._maps = [*self._maps[-3:], (entries, numbers)]
+        return numbers
 
     @property
     def axes(self) -> Float[Tensor, "m 3 3"]:
@@ -198,30 +211,22 @@ class PlateMatrices:
         mean: Float[Tensor, "*lanes 3"] | None = None,
     ) -> Float[Tensor, "*lanes nnz"]:
         """Return the numbers of K on the pattern, or only chosen ones: where they are is found once; mean: `moved_mean`."""
-        picked = self._whole if positions is None else self._of(positions)
+        cells_to_entries = self._map(positions)
         lanes = entries.shape[: -2 if self.several else -1]
         numbers = entries.reshape(-1, self.laminates, len(ENTRIES))
         law = LaminateStiffness.of(numbers)
         if mean is not None:
             constants = self.of_lanes(mean, lanes)
-            kinds = zip(self.kinds.values(), picked.cells, strict=True)
+            kinds = zip(self.kinds.values(), cells_to_entries.cells, strict=True)
             stiffness = torch.cat([cell.moved(group.moved(cell, constants), law) for group, cell in kinds], 1)
-            return apply_linear(picked.sums, stiffness).reshape(*lanes, -1)
-        laws = [x for cell in picked.cells for x in cell.law(law.A, law.B)]
-        return apply_linear(picked, numbers, *laws).reshape(*lanes, -1)
+            return apply_linear(cells_to_entries.sums, stiffness).reshape(*lanes, -1)
+        laws = [x for cell in cells_to_entries.cells for x in cell.law(law.A, law.B)]
+        return apply_linear(cells_to_entries, numbers, *laws).reshape(*lanes, -1)
 
     def of_lanes(self, mean: Float[Tensor, "*lanes 3"], lanes: Sequence[int]) -> Float[Tensor, "flat z 3"]:
         """Constants of all laminates in so many lanes, flattened to one axis."""
         mean = mean if self.several else mean.unsqueeze(-2)
         return mean.expand(*lanes, self.laminates, 3).reshape(-1, self.laminates, 3)
-
-    def _of(self, chosen: Tensor) -> _Numbers:
-        """The map to chosen entries only."""
-        for known, picked in self._picked:
-            if known is chosen:
-                return picked
-        self._picked = [*self._picked[-3:], (chosen, self._whole._replace(sums=self._whole.sums.selected(chosen)))]
-        return self._picked[-1][1]
 
     def section_strains(
         self,
@@ -266,31 +271,6 @@ class PlateMatrices:
         """
         per_area = torch.stack([mass_per_area] * 3 + [rotary_inertia_per_area] * 3, dim=-1)
         return (self.area[:, None] * per_area[..., None, :]).flatten(-2)
-
-
-def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
-    """Pattern of 6 x 6 blocks between nodes that share a cell, and for each kind the positions of every cell's numbers.
-
-    The place of a number follows from the place of its block, so only the node pairs are sorted, not all coordinates.
-    """
-    pairs = [(corners[:, :, None] * n + corners[:, None, :]).flatten() for corners in kinds]
-    pair, block = torch.unique(torch.cat(pairs), sorted=True, return_inverse=True)
-    row, col = torch.div(pair, n, rounding_mode="floor"), pair % n
-    degree = torch.bincount(row, minlength=n)
-    first = degree.cumsum(0) - degree
-    place = torch.arange(len(pair)) - first[row]  # of the block in its row of blocks
-    six = torch.arange(6)
-    # [block, r, c]: all blocks of the rows before, then r whole rows of this row of blocks, then the blocks before.
-    start = 36 * first[row, None, None] + 6 * degree[row, None, None] * six[:, None]
-    positions = start + 6 * place[:, None, None] + six
-    rows, cols = torch.empty(positions.numel(), dtype=torch.long), torch.empty(positions.numel(), dtype=torch.long)
-    rows[positions.flatten()] = (6 * row[:, None, None] + six[:, None]).expand_as(positions).flatten()
-    cols[positions.flatten()] = (6 * col[:, None, None] + six).expand_as(positions).flatten()
-    cells = []
-    for corners, blocks in zip(kinds, block.split([len(p) for p in pairs]), strict=True):
-        m, c = corners.shape
-        cells.append(positions[blocks].reshape(m, c, c, 6, 6).transpose(2, 3).reshape(m, 6 * c, 6 * c))
-    return Pattern.unchecked(rows, cols, 6 * n), cells
 
 
 class PlyBasis(NamedTuple):

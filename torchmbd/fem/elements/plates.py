@@ -33,6 +33,7 @@ from torchmbd.fem.materials import Laminate
 from torchmbd.fem.materials.isotropic_mean import present_mean
 from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.fem.mesh.material_axes import rule_of
+from torchmbd.math.distinct_rows import distinct_rows
 from torchmbd.math.sparse import Pattern
 
 MASSES = ("lumped", "consistent")
@@ -198,7 +199,9 @@ def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor, 
     corners, area, normals, zone = matrices.covering_triangles
     other = corners.roll(-1, dims=1) if consistent else corners
     pairs = torch.stack([corners, other], dim=-1).flatten(0, 1).sort(dim=1).values
-    points, place = torch.unique(torch.cat([pairs, zone.repeat_interleave(3)[:, None]], 1), dim=0, return_inverse=True)
+    every = torch.cat([pairs, zone.repeat_interleave(3)[:, None]], 1)
+    example, place = distinct_rows(every)
+    points = every[example]
     thirds = (area / 3.0).repeat_interleave(3)
     whole = thirds.new_zeros(len(points)).index_add(0, place, thirds)
     normal = torch.zeros(len(points), 3, dtype=area.dtype)

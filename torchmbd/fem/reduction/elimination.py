@@ -71,7 +71,7 @@ def seconds_of_fill(*patterns: Pattern) -> float:
 def _sparse_layout(patterns: tuple[Pattern, ...]) -> SparseLayout:
     size = patterns[0].size
     diagonal = torch.arange(size)
-    if len(patterns) == 1 and int((patterns[0].rows == patterns[0].cols).sum()) == size:
+    if len(patterns) == 1 and len(patterns[0].diagonal) == size:
         return SparseLayout(patterns[0])
     rows, cols = (torch.cat([*(getattr(p, name) for p in patterns), diagonal]) for name in ("rows", "cols"))
     return SparseLayout(Pattern.gather(rows, cols, size)[0])
@@ -97,15 +97,15 @@ _latest: Latest[Factor] = Latest()
 def _factorized(layout: Layout, K_form: Form, K: Tensor) -> Factor:
     if isinstance(layout, Partition):
         return BlockFactor(layout, storage(layout, K_form, K))
-    return SparseFactor(layout, layout.lower(K_form, K))
+    return SparseFactor(layout, layout.values(K_form, K))
 
 
 def _shifted(layout: Layout, K_form: Form, K: Tensor, M_form: Form, M: Tensor, shift: Tensor) -> Factor:
     if isinstance(layout, Partition):
         flat = storage(layout, K_form, K) - shift[:, None] * storage(layout, M_form, M)
         return BlockFactor(layout, flat)
-    lower = layout.lower(K_form, K) - shift[:, None].numpy() * layout.lower(M_form, M)
-    return SparseFactor(layout, lower)
+    values = layout.values(K_form, K) - shift[:, None] * layout.values(M_form, M)
+    return SparseFactor(layout, values)
 
 
 def root(layout: Layout, form: Form, values: Tensor) -> Root:
@@ -114,7 +114,7 @@ def root(layout: Layout, form: Form, values: Tensor) -> Root:
         return mass_root(layout, form, values)
     if isinstance(form, Diagonal):
         return DiagonalRoot(layout.order, values)
-    return SparseRoot(layout, layout.lower(form, values))
+    return SparseRoot(layout, layout.values(form, values))
 
 
 class Solver:

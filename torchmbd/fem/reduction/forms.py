@@ -107,17 +107,18 @@ class Sparse:
             return code.products_at_pattern(self.pattern, Y, X[:, 0])
         lanes = np.broadcast_shapes(Y.shape[:-2], X.shape[:-2])
         total = Y.new_zeros((*lanes, self.pattern.nnz))
+        rows, cols = self.pattern.rows, self.pattern.cols
         for y, x in zip(Y.unbind(-1), X.unbind(-1), strict=True):
-            total += y[..., self.pattern.rows] * x[..., self.pattern.cols]
+            total += y[..., rows] * x[..., cols]
         return total
 
     def dense(self, values: Tensor) -> Tensor:
         return SparseMatrix(self.pattern, values).dense()
 
     def diagonal(self, values: Tensor) -> Tensor:
-        on = (self.pattern.rows == self.pattern.cols).nonzero().squeeze(-1)
+        on = self.pattern.diagonal
         zeros = values.new_zeros((*values.shape[:-1], self.size))
-        return zeros.index_add(-1, self.pattern.rows[on], values[..., on])
+        return zeros.index_add(-1, torch.from_numpy(self.pattern.indices[on]), values[..., on])
 
     def transposed(self, values: Tensor) -> Tensor:
         return values[..., self.pattern.transposed]

@@ -50,19 +50,21 @@ class Ritz:
 class Recurrence:
     """Block Lanczos after `steps` steps: Q [lane, N, columns], T [lane, columns, columns] above the diagonal, X and R.
 
-    Q and T may have more columns than the steps have filled.
+    Q and T may have more columns than the steps have filled. Compiled code needs Q row by row; operators of torch take half the
+    time `by_columns`.
     """
 
-    def __init__(self, X: Tensor) -> None:
+    def __init__(self, X: Tensor, by_columns: bool = False) -> None:
         lanes, size, p = X.shape
-        self.X, self.R = X.contiguous(), X.new_zeros(lanes, p, p)
+        self.X, self.R, self._by_columns = X.contiguous(), X.new_zeros(lanes, p, p), by_columns
         self.Q, self.T = X.new_zeros(lanes, size, 0), X.new_zeros(lanes, 0, 0)
         self.steps = 0
 
     def reserve(self, steps: int) -> None:
         """Allocate the columns of so many steps."""
         if (missing := steps * self.X.shape[2] - self.Q.shape[2]) > 0:
-            self.Q = torch.nn.functional.pad(self.Q, (0, missing))
+            pad = torch.nn.functional.pad
+            self.Q = pad(self.Q.mT, (0, 0, 0, missing)).mT if self._by_columns else pad(self.Q, (0, missing))
             self.T = torch.nn.functional.pad(self.T, (0, missing, 0, missing))
 
     def extend(self, apply: Callable[[Tensor], Tensor], steps: int) -> None:
@@ -97,13 +99,14 @@ def lanczos(
     extend: a faster implementation of `Recurrence.extend` with `apply`
     Returns None when the Krylov space fills half of the whole space before that: a dense method is faster then.
     """
+    by_columns = extend is None
     extend = extend or (lambda recurrence, steps: recurrence.extend(apply, steps))
-    ritz = _iterate(extend, _random(lanes, size, BLOCK), n, tolerance)
+    ritz = _iterate(extend, Recurrence(_random(lanes, size, BLOCK), by_columns), n, tolerance)
     if ritz is not None:
         mu = ritz.mu[:, : n + 1]
         first, last = mu[:, : 1 - BLOCK], mu[:, BLOCK - 1 :]  # of as many neighbors as a block has columns
         if (first - last <= CLOSE * first).any() and misses_eigenvector(apply, ritz, n):
-            ritz = _iterate(extend, _random(lanes, size, n + 2), n, tolerance)
+            ritz = _iterate(extend, Recurrence(_random(lanes, size, n + 2), by_columns), n, tolerance)
     return ritz
 
 
@@ -113,9 +116,11 @@ def _random(lanes: int, size: int, columns: int) -> Tensor:
     return torch.linalg.qr(torch.from_numpy(start))[0].repeat(lanes, 1, 1)
 
 
-def _iterate(extend: Callable[[Recurrence, int], None], X: Tensor, n: int, tolerance: float) -> Ritz | None:
-    lanes, size, p = X.shape
-    recurrence, steps, room, ahead = Recurrence(X), max(4 * (n + 2) // p, 2), 0, False
+def _iterate(
+    extend: Callable[[Recurrence, int], None], recurrence: Recurrence, n: int, tolerance: float
+) -> Ritz | None:
+    lanes, size, p = recurrence.X.shape
+    steps, room, ahead = max(4 * (n + 2) // p, 2), 0, False
     while steps <= size // (2 * p):
         if steps > room:
             room = 2 * steps  # to move the columns costs as much as a step

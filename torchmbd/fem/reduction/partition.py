@@ -103,17 +103,16 @@ def _reach(pattern: Pattern, inverse: np.ndarray, reach: np.ndarray) -> None:
 def _cut(reach: np.ndarray, size: int) -> list[int]:
     """Return the cheapest bounds for this order: each block ends at the last row with which the block before is coupled."""
     reach = np.maximum.accumulate(reach) + 1
-    band = int((reach - np.arange(size)).max())
-    best: list[int] = [0, size]
-    widest = min(size, 2 * band)
-    for first in range(1, widest + 1, max(widest // TRIALS, 1)):
-        bounds = [0, first]
-        while bounds[-1] < size:
-            smallest = min(bounds[-1] + SMALLEST_BLOCK, size)
-            bounds.append(max(int(reach[bounds[-1] - 1]), smallest))
-        if _cost(bounds) < _cost(best):
-            best = bounds
-    return best
+    widest = min(size, 2 * int((reach - np.arange(size)).max()))
+    end = np.arange(1, widest + 1, max(widest // TRIALS, 1))  # of the block at hand, for each size of the first block
+    cost, ends = (end**2 + SMALLEST_BLOCK**2).astype(float), [end]
+    while (end < size).any():
+        following = np.where(end < size, np.maximum(reach[end - 1], np.minimum(end + SMALLEST_BLOCK, size)), size)
+        cost += np.where(end < size, (following - end) ** 2.0 + SMALLEST_BLOCK**2, 0.0)
+        end = following
+        ends.append(end)
+    best = [0, *dict.fromkeys(int(x[cost.argmin()]) for x in ends)]
+    return min(best, [0, size], key=_cost)
 
 
 @lru_cache(maxsize=64)

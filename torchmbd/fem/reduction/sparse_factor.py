@@ -1,17 +1,24 @@
 """Sparse factorization of large matrices, one design after another: the fill-reducing order belongs to the pattern.
 
-    P A P' = L L'        CHOLMOD: minimum degree (AMD), supernodes, products of dense blocks by BLAS
+    P A P' = L L'        compiled code: multifrontal, supernodes, products of dense blocks    (`supernodes` of math/products.py)
+    P A P' = L L'        CHOLMOD: supernodes, products of dense blocks by BLAS
     P A P' = L D L'      SuperLU in symmetric mode: minimum degree of A + A', no exchange of rows
 
-CHOLMOD comes with cvxopt, an optional library: it has wheels for Linux, macOS and Windows, and keeps the order of a pattern for
-further matrices. scikit-sparse has no wheels, PARDISO runs on Intel processors alone. SuperLU comes with SciPy and serves where
-cvxopt is not installed. On one core, CHOLMOD factorizes a plate of 29,760 freedoms in 0.15 s and one of 117,120 in 0.9 s,
-SuperLU in 0.6 s and 6.3 s. Both solve for one column after another, each in about 2 ns per entry of L; SuperLU stores L and U.
-Compiled code takes L from CHOLMOD, in half the time of the factorization, and solves for eight columns in the time of one and a
-half (`solve_supernodes` of math/products.py). Threads share the columns.
+cvxopt, an optional library, has the order of minimum degree (AMD) for the first two, and CHOLMOD. It has wheels for Linux,
+macOS and Windows; scikit-sparse has none, PARDISO runs on Intel processors alone. CHOLMOD serves where there is no compiler.
+SuperLU comes with SciPy and serves where cvxopt is not installed.
+CHOLMOD as cvxopt has it solves for one column after another, and analyzes a matrix again in each design; L can be read only as
+copies of several times its size. Compiled code finds the entries of L once for a pattern, keeps L once, and solves for eight
+columns in the time of one and a half. Threads share the columns. Processor seconds of one factorization, measured on plates:
+
+    freedoms     compiled code   CHOLMOD   SuperLU
+     29,760         0.09          0.24       0.6
+    117,120         0.6           1.5        6.3
+
 A mass has the root G = P' L or G = P' L sqrt(D), and G'^-1 X = M^-1 G X.
 Tensors are [lane, N, columns] in the order of the freedoms. No autograd inside.
-Checked in tests/fem/reduction/test_sparse_factor.py.
+Source: Duff and Reid, ACM TOMS 9 (1983) 302-325 (multifrontal); Liu, SIAM J. Matrix Anal. Appl. 11 (1990) 134-172
+(elimination trees). Checked in tests/fem/reduction/test_sparse_factor.py, tests/extensions/native/test_compiled_products.py.
 """
 
 from __future__ import annotations
@@ -28,7 +35,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, warn
 from torchmbd.fem.reduction.forms import Form, Sparse, lane_name
-from torchmbd.math.products import Supernodes, compiled_products
+from torchmbd.math.products import Products, Supernodes, compiled_products
 from torchmbd.math.sparse import Pattern
 
 Array = np.ndarray
@@ -37,53 +44,60 @@ SLOW = 20_000  # freedoms from which a warning says that CHOLMOD is missing
 
 
 class SparseLayout:
-    """The lower triangle by columns, and its order, which all matrices of one pattern share.
+    """The pattern, with its diagonal, and its order, which all matrices of one pattern share.
 
     order, inverse   as of `Partition`: the freedoms keep their order here
     """
 
     def __init__(self, pattern: Pattern) -> None:
-        rows, cols = pattern.rows.numpy(), pattern.cols.numpy()
         self.pattern, self.size = pattern, pattern.size
         self.order = self.inverse = torch.arange(pattern.size)
-        upper = cols >= rows
-        self.rows, self.cols = cols[upper], rows[upper]  # the upper triangle by rows is the lower one by columns
-        self.start = np.concatenate([[0], np.cumsum(np.bincount(self.cols, minlength=self.size))])
-        self.diagonal = (self.rows == self.cols).nonzero()[0]
 
-    def lower(self, form: Form, values: Tensor) -> Array:
-        """The lower triangle by columns [lane, entry] of a matrix of values [lane, *entry]."""
-        numbers = values.numpy()
-        lower = np.zeros((len(numbers), len(self.rows)))
-        if not isinstance(form, Sparse):
-            lower[:, self.diagonal] = numbers
-        elif form.pattern is self.pattern:
-            np.compress(self.pattern.cols.numpy() >= self.pattern.rows.numpy(), numbers, axis=1, out=lower)
+    def values(self, form: Form, values: Tensor) -> Tensor:
+        """Values [lane, nnz] on the pattern of a matrix of values [lane, *entry]."""
+        if isinstance(form, Sparse) and form.pattern is self.pattern:
+            return values
+        if isinstance(form, Sparse):
+            key = self.pattern.rows * self.size + self.pattern.cols
+            place = torch.searchsorted(key, form.pattern.rows * self.size + form.pattern.cols)
         else:
-            rows, cols = form.pattern.rows.numpy(), form.pattern.cols.numpy()
-            upper = cols >= rows
-            key, part = self.cols * self.size + self.rows, rows[upper] * self.size + cols[upper]
-            lower[:, np.searchsorted(key, part)] = numbers[:, upper]
-        return lower
+            place = self.pattern.diagonal
+        return values.new_zeros(len(values), self.pattern.nnz).index_copy_(1, place, values)
 
-    @cached_property
-    def ordered(self) -> tuple[Any, Any]:
-        """The pattern as a matrix of cvxopt, and its order by minimum degree."""
+    def _minimum_degree(self) -> tuple[Any, Any, Array]:
+        """The lower triangle as a matrix of cvxopt, its order by minimum degree, and the places of its values."""
         from cvxopt import amd, matrix, spmatrix  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
-        A = spmatrix(1.0, *(matrix(x.astype(np.int64)) for x in (self.rows, self.cols)), (self.size, self.size))
-        return A, amd.order(A)
+        rows, cols = self.pattern.rows.numpy(), self.pattern.cols.numpy()
+        upper = np.flatnonzero(cols >= rows)  # the upper triangle by rows is the lower one by columns
+        A = spmatrix(1.0, matrix(cols[upper]), matrix(rows[upper]), (self.size, self.size))
+        return A, amd.order(A), upper
+
+    @cached_property
+    def ordered(self) -> tuple[Any, Any, Array]:
+        """All that CHOLMOD needs of a pattern."""
+        return self._minimum_degree()
+
+    @cached_property
+    def supernodes(self) -> Supernodes:
+        """The entries of L, for compiled code."""
+        code = _compiled()
+        assert code is not None
+        order = np.asarray(self._minimum_degree()[1])[:, 0].astype(np.int64)
+        return code.supernodes(self.pattern, torch.from_numpy(order))
 
 
 class Triangle(Protocol):
     """A factorization of one matrix.
 
-    pivot   the smallest pivot relative to the size of the diagonal entry; <= 0 where the matrix is not positive definite
+    pivot    the smallest pivot relative to the size of the diagonal entry; <= 0 where the matrix is not positive definite
+    weakest  the row of this pivot; -1 where the library does not say which
     """
 
     pivot: float
+    weakest: int
 
-    def __init__(self, layout: SparseLayout, lower: Array) -> None: ...
+    def __init__(self, layout: SparseLayout, values: Array) -> None: ...
 
     def solve(self, X: Array) -> Array:
         """A^-1 X for columns [N, k]."""
@@ -94,17 +108,48 @@ class Triangle(Protocol):
         ...
 
 
+class Supernodal(Triangle):
+    """L L' by compiled code, with an order by minimum degree."""
+
+    def __init__(self, layout: SparseLayout, values: Array) -> None:
+        code = _compiled()
+        assert code is not None
+        self._code, self._nodes = code, layout.supernodes
+        self._L, self.pivot, self.weakest = code.factorize_supernodes(
+            self._nodes, layout.pattern, torch.from_numpy(values)
+        )
+
+    def solve(self, X: Array) -> Array:
+        return self._code.solve_supernodes(self._nodes, self._L, torch.from_numpy(X)).numpy()
+
+    def root(self) -> csr_array:
+        first, below_start, below, start, order = (x.numpy() for x in self._nodes)
+        size = len(order)
+        last = np.repeat(first[1:], np.diff(first))  # of each column: the end of its supernode
+        from_below = np.repeat(below_start[:-1], np.diff(first))
+        column = np.repeat(np.arange(size), np.diff(start))
+        down = np.arange(start[-1]) - start[column]  # the place of each entry in its column
+        inside = last[column] - column
+        far = (
+            below[np.minimum(from_below[column] + np.maximum(down - inside, 0), max(len(below) - 1, 0))]
+            if len(below)
+            else 0
+        )
+        rows = np.where(down < inside, column + down, far)
+        return csr_array(csc_array((self._L.numpy(), order[rows], start), shape=(size, size)))
+
+
 class Cholmod(Triangle):
-    """L L' by CHOLMOD, which solves for one column after another; compiled code solves for several by the same L."""
+    """L L' by CHOLMOD, which solves for one column after another."""
 
-    _supernodes: Supernodes | None = None
+    weakest = -1
 
-    def __init__(self, layout: SparseLayout, lower: Array) -> None:
+    def __init__(self, layout: SparseLayout, values: Array) -> None:
         from cvxopt import cholmod, matrix  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
-        pattern, order = layout.ordered
+        pattern, order, lower = layout.ordered
         A = +pattern  # a copy: other threads read the pattern
-        A.V = matrix(lower)
+        A.V = matrix(values[lower])
         self._cholmod, self._matrix, self._factor = cholmod, matrix, cholmod.symbolic(A, order)
         self._size = layout.size
         try:
@@ -113,56 +158,32 @@ class Cholmod(Triangle):
             self.pivot = -1.0
             return
         squares = np.array(cholmod.diag(self._factor))[:, 0] ** 2
-        self.pivot = float((squares / self._solved(lower[layout.diagonal][:, None], PERMUTED)[:, 0]).min())
+        diagonal = values[layout.pattern.diagonal.numpy()][:, None]
+        self.pivot = float((squares / self._solved(diagonal, PERMUTED)[:, 0]).min())
 
     def _solved(self, X: Array, system: int) -> Array:
         columns = self._matrix(np.asfortranarray(X))
         self._cholmod.solve(self._factor, columns, sys=system)
         return np.asarray(columns)
 
-    def _columns(self) -> tuple[Array, Array, Array, Array]:
-        """Return the starts [N + 1] of the columns of L, their rows and values, and the order; free CHOLMOD's factor."""
-        order = self._solved(np.arange(self._size, dtype=float)[:, None], PERMUTED)[:, 0].astype(np.int64)
-        start, rows, values = (np.asarray(x)[:, 0] for x in self._cholmod.getfactor(self._factor).CCS)
-        del self._factor  # as large as L
-        return start, rows, values, order
-
     def solve(self, X: Array) -> Array:
-        if (code := compiled_products(torch.empty(0, dtype=torch.float64))) is None:
-            return self._solved(X, WHOLE)
-        if self._supernodes is None:
-            self._supernodes = supernodes(*self._columns())
-        return code.solve_supernodes(self._supernodes, torch.from_numpy(X)).numpy()
+        return self._solved(X, WHOLE)
 
     def root(self) -> csr_array:
-        start, rows, values, order = self._columns()
+        order = self._solved(np.arange(self._size, dtype=float)[:, None], PERMUTED)[:, 0].astype(np.int64)
+        start, rows, values = (np.asarray(x)[:, 0] for x in self._cholmod.getfactor(self._factor).CCS)
         return csr_array(csc_array((values, order[rows], start), shape=(self._size,) * 2))
-
-
-def supernodes(start: Array, rows: Array, values: Array, order: Array) -> Supernodes:
-    """Return the factor of columns that begin at `start` [N + 1], with their rows and values [entries] down the column.
-
-    The rows of a column are among those of its parent, the column of its first entry below the diagonal. So a column and the
-    next one, its parent with one entry less, have the same rows.
-    """
-    count = np.diff(start)
-    alike = count[:-1] == count[1:] + 1
-    alike[alike] = rows[start[:-2][alike] + 1] == alike.nonzero()[0] + 1
-    first = np.concatenate([[0], (~alike).nonzero()[0] + 1, [len(count)]])
-    width = np.diff(first)
-    below_count = count[first[:-1]] - width
-    below_start = np.concatenate([[0], below_count.cumsum()])
-    places = np.arange(below_start[-1]) + np.repeat(start[first[:-1]] + width - below_start[:-1], below_count)
-    return Supernodes(*map(torch.from_numpy, (first, below_start, rows[places], start, values, order)))
 
 
 class SuperLU(Triangle):
     """L D L' by SuperLU."""
 
-    def __init__(self, layout: SparseLayout, lower: Array) -> None:
-        L = csc_array((lower, layout.rows, layout.start), shape=(layout.size, layout.size))
-        diagonal = lower[layout.diagonal]
-        A = csc_array(L + L.T - dia_array((diagonal[None], 0), shape=L.shape))
+    weakest = -1
+
+    def __init__(self, layout: SparseLayout, values: Array) -> None:
+        pattern = layout.pattern
+        diagonal = values[pattern.diagonal.numpy()]
+        A = csc_array((values, pattern.indices, pattern.indptr), shape=(layout.size, layout.size))
         options = {"SymmetricMode": True, "Equil": False}
         self.pivot = -1.0
         try:
@@ -183,15 +204,19 @@ class SuperLU(Triangle):
         return csr_array(self._factor.L @ scale)[self._factor.perm_r]
 
 
+def _compiled() -> Products | None:
+    return compiled_products(torch.empty(0, dtype=torch.float64))
+
+
 def solves_columns_together() -> bool:
-    """Return True if CHOLMOD is installed and compiled code can take its L."""
-    return find_spec("cvxopt") is not None and compiled_products(torch.empty(0, dtype=torch.float64)) is not None
+    """Return True if there is compiled code, and cvxopt for the order."""
+    return find_spec("cvxopt") is not None and _compiled() is not None
 
 
 def library(size: int) -> type[Triangle]:
-    """Return CHOLMOD, or SuperLU if cvxopt is not installed; a warning then says what this costs for large bodies."""
+    """Return the best factorization there is; without cvxopt a warning says what this costs for large bodies."""
     if find_spec("cvxopt") is not None:
-        return Cholmod
+        return Cholmod if _compiled() is None else Supernodal
     if size >= SLOW:
         _warn_missing()
     return SuperLU
@@ -206,14 +231,14 @@ def _warn_missing() -> None:
 
 
 class SparseFactor:
-    """A^-1 of a batch of matrices, their lower triangles [lane, entry].
+    """A^-1 of a batch of matrices, values [lane, nnz] on the pattern of the layout.
 
     pivot   of each lane, as of `Triangle` [lane]
     """
 
-    def __init__(self, layout: SparseLayout, lower: Array) -> None:
+    def __init__(self, layout: SparseLayout, values: Tensor) -> None:
         kind = library(layout.size)
-        self.lanes = [kind(layout, numbers) for numbers in lower]
+        self.lanes = [kind(layout, numbers) for numbers in values.numpy()]
         self.pivot = torch.tensor([lane.pivot for lane in self.lanes], dtype=torch.float64)
 
     def solve(self, X: Tensor) -> Tensor:
@@ -227,12 +252,12 @@ class SparseFactor:
 class SparseRoot:
     """G of a sparse mass."""
 
-    def __init__(self, layout: SparseLayout, lower: Array) -> None:
-        self._factor = SparseFactor(layout, lower)
+    def __init__(self, layout: SparseLayout, values: Tensor) -> None:
+        self._factor = SparseFactor(layout, values)
         weak = (self._factor.pivot <= 0.0).nonzero()
         if len(weak):
-            raise InputError(f"M{lane_name(int(weak[0]), len(lower))} is not positive definite")
-        self._G = [library(layout.size)(layout, numbers).root() for numbers in lower]
+            raise InputError(f"M{lane_name(int(weak[0]), len(values))} is not positive definite")
+        self._G = [library(layout.size)(layout, numbers).root() for numbers in values.numpy()]
 
     def lower(self, X: Tensor) -> Tensor:
         """G X."""

@@ -74,13 +74,14 @@ class SparseModes:
             self.U, self.known = torch.where(self.retained, self.U, 0.0), torch.where(self.discarded, self.known, 0.0)
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
-        return lanczos(self._apply, lanes, len(self.layout.order), self.n, tolerance, self._extend)
+        extend = None if self._compiled(self.shift) is None else self._extend
+        return lanczos(self._apply, lanes, len(self.layout.order), self.n, tolerance, extend)
 
     def _extend(self, recurrence: Recurrence, steps: int) -> None:
-        """Extend as `Recurrence.extend`, by compiled code where it exists."""
-        if (blocks := self._compiled(recurrence.X)) is None:
-            return recurrence.extend(self._apply, steps)
-        code, factor, G = blocks
+        """Extend as `Recurrence.extend`, by compiled code."""
+        compiled = self._compiled(recurrence.X)
+        assert compiled is not None
+        code, factor, G = compiled
         state = recurrence.Q, recurrence.T, recurrence.X, recurrence.R
         code.lanczos(factor, G, recurrence.steps, steps, *state)
         recurrence.steps = steps
