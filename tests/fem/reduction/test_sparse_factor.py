@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from experiments.models import large_shells
 from tests.fem.reduction.test_sparse_modes import LANES, N, definite, grid, problem
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import elimination, sparse_factor
@@ -13,7 +14,7 @@ from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.elimination import Solver, factorize, layout, seconds_of_blocks, seconds_of_fill
 from torchmbd.fem.reduction.forms import Diagonal, Sparse
 from torchmbd.fem.reduction.partition import Partition, partition
-from torchmbd.fem.reduction.sparse_factor import Cholmod, SparseLayout, SuperLU, Supernodal
+from torchmbd.fem.reduction.sparse_factor import Cholmod, SparseFactor, SparseLayout, SuperLU, Supernodal
 from torchmbd.fem.reduction.sparse_modes import SparseModes
 from torchmbd.fem.reduction.static import StaticLoads
 from torchmbd.math.sparse import Pattern, SparseMatrix
@@ -199,4 +200,20 @@ def test_modes_and_static_solutions_of_one_design_share_one_factorization(monkey
     assert (StaticLoads(pattern)(K, F) - 0.5 * first).abs().amax() < 1e-9 * first.abs().amax()
     stiffer = mbd.modal_basis(K, mass, 3)
     assert (stiffer.stiffness - 2.0 * basis.stiffness).abs().amax() < 1e-9 * stiffer.stiffness.abs().amax()
+    assert len(made) == 2
+
+
+@pytest.mark.thorough
+def test_a_motion_and_its_gradient_factorize_once_for_a_design(monkeypatch):
+    """The body, its checks, its first motion and the gradient share one sparse factor; another design has another."""
+    made = []
+    initialize = SparseFactor.__init__
+    monkeypatch.setattr(SparseFactor, "__init__", lambda self, *args: (made.append(self), initialize(self, *args))[1])
+    monkeypatch.setattr(elimination, "seconds_of_fill", lambda *patterns: 0.0)
+    system = large_shells.plate(8, 4, modes=3)
+    energy = mbd.Integral(mbd.StrainEnergy("shell"))
+    energy(mbd.simulate(system, 0.01, steps=2)).sum().backward()
+    assert len(made) == 1
+    angles = mbd.deg([30.0, -60.0, 10.0, 80.0])[None].requires_grad_()
+    energy(mbd.simulate(system, 0.01, steps=2, designs={"shell.laminate.angles": angles})).sum().backward()
     assert len(made) == 2

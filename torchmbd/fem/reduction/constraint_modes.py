@@ -101,9 +101,10 @@ class Split:
     def factorize(self, K: Tensor) -> None:
         if isinstance(self.pencil.K_form, Sparse):
             pattern, positions = _restricted(self.pencil.K_form.pattern, self.interface)
-            self.solver, values = Solver(Sparse(pattern)), K[:, positions]
+            self.solver, values = Solver(Sparse(pattern), freedoms=self.interior), K[:, positions]
         else:
-            self.solver, values = Solver(Dense(len(self.interior))), K[:, self.interior][:, :, self.interior]
+            values = K[:, self.interior][:, :, self.interior]
+            self.solver = Solver(Dense(len(self.interior)), freedoms=self.interior)
         self.solver.factorize(values, "is not positive definite with the interface held: the rest can move")
 
     def solve(self, F: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ from torchmbd.fem.reduction.blocks import BlockFactor, BlockRoot, DiagonalRoot, 
 from torchmbd.fem.reduction.forms import Dense, Diagonal, Form, Sparse, lane_name
 from torchmbd.fem.reduction.latest import Latest
 from torchmbd.fem.reduction.partition import Partition, partition
-from torchmbd.fem.reduction.shift import SAFE_PIVOT
+from torchmbd.fem.reduction.shift import SAFE_PIVOT, choose_shift
 from torchmbd.fem.reduction.sparse_factor import SparseFactor, SparseLayout, SparseRoot, solves_columns_together
 from torchmbd.math.sparse import Pattern
 
@@ -117,21 +117,50 @@ def root(layout: Layout, form: Form, values: Tensor) -> Root:
     return SparseRoot(layout, layout.values(form, values))
 
 
+class IndefiniteStiffness(InputError):
+    """Freedoms move without stiffness, or against it; `row` of K moves most."""
+
+    def __init__(self, message: str, row: int) -> None:
+        super().__init__(message)
+        self.row = row
+
+
+def _loosest(layout: Layout, form: Form, K: Tensor) -> int:
+    """The freedom that moves most in the lowest mode of K [1, *entry], by inverse iteration."""
+    like, ones = Diagonal(form.size), torch.ones(1, form.size, dtype=torch.float64)
+
+    def shifted(shift: Tensor) -> tuple[Factor, Tensor]:
+        factor = _shifted(layout, form, K, like, ones, shift)
+        return factor, factor.pivot
+
+    _, factor = choose_shift(form.diagonal(K), ones, shifted)
+    X = torch.from_numpy(np.random.default_rng(1).standard_normal((1, form.size, 1)))
+    for _ in range(3):
+        X = factor.solve(X / X.norm())
+    return int(layout.order[X[0, :, 0].abs().argmax()])
+
+
 class Solver:
-    """A^-1 of symmetric positive definite matrices of one form, after `factorize`."""
+    """A^-1 of symmetric positive definite matrices of one form, after `factorize`.
+
+    freedoms   the numbers of its rows, for errors; None: 0, 1, ...
+    """
 
     factor: Factor
 
-    def __init__(self, form: Form, rows: Layout | None = None) -> None:
-        self.form, self.layout = form, rows or layout(form, Diagonal(form.size))
+    def __init__(self, form: Form, rows: Layout | None = None, freedoms: Tensor | None = None) -> None:
+        self.form, self.layout, self._freedoms = form, rows or layout(form, Diagonal(form.size)), freedoms
 
     def factorize(self, values: Tensor, fault: str) -> None:
-        """Factorize A of values [lane, *entry]; InputError says its lane and `fault` where it is not positive definite."""
+        """Factorize A of values [lane, *entry]; IndefiniteStiffness says its lane and `fault` where it is not definite."""
         self.factor = factorize(self.layout, self.form, values)
         weak = self.factor.pivot <= SAFE_PIVOT
         if weak.any():
-            lane = lane_name(int(weak.nonzero()[0]), len(values))
-            raise InputError(f"K{lane} {fault} without stiffness, or against it; hold more freedoms")
+            lane = int(weak.nonzero()[0])
+            row = _loosest(self.layout, self.form, values[lane : lane + 1])
+            row = row if self._freedoms is None else int(self._freedoms[row])
+            message = f"K{lane_name(lane, len(values))} {fault} without stiffness, or against it; hold more freedoms"
+            raise IndefiniteStiffness(message, row)
 
     def solve(self, F: Tensor) -> Tensor:
         """A^-1 F for columns F [lane, T, N, k]."""

@@ -18,6 +18,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, true_or_false, unknown
 from torchmbd.fem.elements import Assembly, MassPoints
 from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, Matrix, VibrationModes
+from torchmbd.fem.reduction.elimination import IndefiniteStiffness
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
@@ -67,8 +68,27 @@ def reduced(
         reduction = REDUCTIONS[kind](int(modes), held, updated)
         with torch.no_grad():
             return reduction, reduction(*matrices(assembly)).stiffness.shape[-1]
+    except IndefiniteStiffness as error:
+        raise InputError(f"reduction of {name!r}: {error}. {_place(assembly, error.row)}") from None
     except InputError as error:
         raise InputError(f"reduction of {name!r}: {_without_mass(assembly) or error}") from None
+
+
+def _place(assembly: Assembly, row: int) -> str:
+    """A sentence about a free freedom that moves: its node, its direction and the nodes beside it."""
+    pattern, free, count = assembly.pattern, assembly.freedoms.free, len(assembly.mesh.nodes)
+    node, direction = _freedom_name(assembly, int(free[row]))
+    columns = pattern.indices[pattern.indptr[row] : pattern.indptr[row + 1]]
+    beside = (free[torch.from_numpy(columns).long()] // 6).unique().tolist()
+    others = ", ".join(str(k) for k in beside if k != int(free[row]) // 6 and k < count)
+    return f"{node} moves most, {direction}; its neighbors are {others or 'none'}"
+
+
+def _freedom_name(assembly: Assembly, freedom: int) -> tuple[str, str]:
+    """The node of a freedom and its direction, as "node 3", "about x"."""
+    node, component = divmod(freedom, 6)
+    named = getattr(assembly.mesh, "node_name", lambda k: f"node {k}")(node)
+    return named, f"{'along' if component < 3 else 'about'} {'xyz'[component % 3]}"
 
 
 def _without_mass(assembly: Assembly) -> str:
@@ -81,9 +101,7 @@ def _without_mass(assembly: Assembly) -> str:
     bad = (M.detach().reshape(-1, len(assembly.freedoms.free))[0] <= 0).nonzero()[:, 0]
     if not len(bad):
         return ""
-    node, component = divmod(int(assembly.freedoms.free[bad[0]]), 6)
-    what = f"{'along' if component < 3 else 'about'} {'xyz'[component % 3]}"
-    named = getattr(assembly.mesh, "node_name", lambda k: f"node {k}")(node)
+    named, what = _freedom_name(assembly, int(assembly.freedoms.free[bad[0]]))
     return f"{named} has stiffness and no mass {what} ({len(bad)} freedoms are so); allowed: a mass or an inertia there"
 
 
