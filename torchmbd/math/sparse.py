@@ -38,13 +38,13 @@ def _indices(name: str, indices: ArrayLike | Tensor, size: int) -> Tensor:
 class Pattern:
     """The entries of a square symmetric matrix of `size` rows that may differ from zero; see the module header.
 
-    indptr   where each row starts among the values, numpy int32 [size + 1]; by symmetry each column, too
-    indices  the column of each value, numpy int32 [nnz]
+    start   where each row begins among the values, with the end, int32 [size + 1]; by symmetry each column, too
+    column  of each value, int32 [nnz]
 
     Raises InputError where coordinates are out of range, unsorted, repeated or without their mirror image.
     """
 
-    def __init__(self, rows: ArrayLike | Tensor, cols: ArrayLike | Tensor, size: int) -> None:
+    def __init__(self, rows: Tensor, cols: Tensor, size: int) -> None:
         i, j = _indices("rows", rows, size), _indices("cols", cols, size)
         if len(i) != len(j):
             raise InputError(f"rows and cols have {len(i)} and {len(j)} entries; equally many are needed")
@@ -53,22 +53,21 @@ class Pattern:
             k = int((key[1:] <= key[:-1]).nonzero()[0]) + 1
             entry = (int(i[k]), int(j[k]))
             raise InputError(f"coordinate {k} {entry} repeats or precedes its forerunner; use Pattern.gather to sort")
-        counts = np.bincount(i.numpy(), minlength=size)
-        self._set(np.concatenate([[0], np.cumsum(counts)]), j.numpy(), size)
+        self._set(torch.nn.functional.pad(torch.bincount(i, minlength=size).cumsum(0), (1, 0)), j, size)
         mirror = self.transposed
         if not ((i[mirror] == j) & (j[mirror] == i)).all():
             missing = ~torch.isin(j * size + i, key, assume_unique=True)
             k = int(missing.nonzero()[0])
             raise InputError(f"entry ({int(i[k])}, {int(j[k])}) has no mirror image; store both triangles")
 
-    def _set(self, indptr: np.ndarray, indices: np.ndarray, size: int) -> None:
-        self.indptr, self.indices, self.size = indptr.astype(np.int32), indices.astype(np.int32, copy=False), size
+    def _set(self, start: Tensor, column: Tensor, size: int) -> None:
+        self.start, self.column, self.size = start.to(torch.int32), column.to(torch.int32), size
 
     @classmethod
-    def unchecked(cls, indptr: np.ndarray, indices: np.ndarray, size: int) -> Pattern:
+    def unchecked(cls, start: Tensor, column: Tensor, size: int) -> Pattern:
         """A pattern of sorted, unique and symmetric entries by their construction; the checks take longer."""
         pattern = object.__new__(cls)
-        pattern._set(indptr, indices, size)
+        pattern._set(start, column, size)
         return pattern
 
     @staticmethod
@@ -83,30 +82,37 @@ class Pattern:
 
     @property
     def nnz(self) -> int:
-        return len(self.indices)
+        return len(self.column)
 
     @property
     def rows(self) -> Tensor:
         """The row of each value [nnz], made anew."""
-        return torch.from_numpy(np.repeat(np.arange(self.size), np.diff(self.indptr)))
+        return torch.repeat_interleave(self.start.diff().long())
 
     @property
     def cols(self) -> Tensor:
         """The column of each value [nnz], made anew."""
-        return torch.from_numpy(self.indices.astype(np.int64))
+        return self.column.long()
+
+    @cached_property
+    def indptr(self) -> np.ndarray:
+        """`start` for NumPy and SciPy."""
+        return self.start.numpy()
+
+    @cached_property
+    def indices(self) -> np.ndarray:
+        """`column` for NumPy and SciPy."""
+        return self.column.numpy()
 
     @cached_property
     def diagonal(self) -> Tensor:
         """The positions of the values on the diagonal, as many as there are."""
-        rows = np.repeat(np.arange(self.size, dtype=np.int32), np.diff(self.indptr))
-        return torch.from_numpy(np.flatnonzero(self.indices == rows))
+        return (self.rows == self.column).nonzero().squeeze(-1)
 
     @cached_property
     def transposed(self) -> Tensor:
         """For each value the position of its mirror image [nnz]: the values in the order of columns."""
-        places = np.arange(self.nnz, dtype=np.int32)
-        by_rows = scipy.sparse.csr_array((places, self.indices, self.indptr), shape=(self.size, self.size))
-        return torch.from_numpy(by_rows.tocsc().data.astype(np.int64))
+        return torch.argsort(self.column, stable=True)
 
     def restrict(self, keep: ArrayLike | Tensor) -> tuple[Pattern, Tensor]:
         """Keep rows and columns `keep`, in that order: the smaller pattern, and the positions of its values.
@@ -118,17 +124,16 @@ class Pattern:
         row_of[kept] = torch.arange(len(kept))
         if int((row_of >= 0).sum()) != len(kept):
             raise InputError("keep names a row more than once; each at most once is allowed")
-        column = row_of.numpy().astype(np.int32)[self.indices]
-        counted = (column >= 0) & np.repeat(row_of.numpy() >= 0, np.diff(self.indptr))
-        positions = np.flatnonzero(counted)
-        ends = np.concatenate([[0], np.cumsum(counted, dtype=np.int32)])[self.indptr]
-        counts = np.diff(ends)[kept.numpy()]
-        indptr = np.concatenate([[0], np.cumsum(counts)])
+        column = row_of.to(torch.int32)[self.column]
+        counted = (column >= 0) & torch.repeat_interleave(row_of >= 0, self.start.diff())
+        positions = counted.nonzero().squeeze(-1)
+        before = torch.nn.functional.pad(counted.cumsum(0, dtype=torch.int32), (1, 0))  # in all values before each
+        counts = before[self.start].diff()[kept]
         if (kept[1:] < kept[:-1]).any():
-            rows = row_of.numpy()[np.repeat(np.arange(self.size), np.diff(self.indptr))[positions]]
-            positions = positions[np.lexsort((column[positions], rows))]
-        smaller = Pattern.unchecked(indptr, column[positions], len(kept))
-        return smaller, torch.from_numpy(positions.astype(np.int32))
+            rows = row_of[self.rows[positions]]
+            positions = positions[torch.argsort(rows * len(kept) + column[positions])]
+        start = torch.nn.functional.pad(counts.cumsum(0), (1, 0))
+        return Pattern.unchecked(start, column[positions], len(kept)), positions.to(torch.int32)
 
     def to_scipy(self, values: Tensor | np.ndarray) -> scipy.sparse.csc_array:
         """One design's values [nnz] as a SciPy matrix (both triangles)."""

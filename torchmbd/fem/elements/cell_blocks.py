@@ -10,10 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from jaxtyping import Int
-from scipy.sparse import bsr_array
 from torch import Tensor
 
 from torchmbd.math.linear_map import Sums
@@ -29,52 +27,60 @@ class CellBlocks:
     """
 
     def __init__(self, corners: Sequence[Int[Tensor, "m c"]], nodes: int) -> None:
-        pairs = np.concatenate([(x[:, :, None] * nodes + x[:, None, :]).flatten().numpy() for x in corners])
-        blocks, block = np.unique(pairs, return_inverse=True)
-        row, col = np.divmod(blocks, nodes)
-        self._first = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=nodes))])  # block of each row of blocks
-        self._pairs = np.argsort(block, kind="stable")  # pairs by blocks
-        self._start = np.concatenate([[0], np.cumsum(np.bincount(block))])  # first pair of each block
-        numbers = np.ones((len(blocks), 6, 6), dtype=np.int8)
-        full = bsr_array((numbers, col, self._first), shape=(6 * nodes, 6 * nodes)).tocsr()
-        self.pattern = Pattern.unchecked(full.indptr, full.indices, 6 * nodes)
+        pairs = torch.cat([(x[:, :, None] * nodes + x[:, None, :]).flatten() for x in corners])
+        blocks, block = torch.unique(pairs, return_inverse=True)
+        row, col = torch.div(blocks, nodes, rounding_mode="floor"), (blocks % nodes).to(torch.int32)
+        self._first = _starts(torch.bincount(row, minlength=nodes))  # block of each row of blocks
+        self._pairs = torch.argsort(block, stable=True)  # pairs by blocks
+        self._start = _starts(torch.bincount(block))  # first pair of each block
+        degree, six = self._first.diff(), torch.arange(6, dtype=torch.int32)
+        start = _starts((6 * degree).repeat_interleave(6))
+        # The columns of a row of blocks occur six times, one after another.
+        count = degree.repeat_interleave(6)
+        place = torch.arange(int(count.sum())) - (
+            count.cumsum(0) - count - self._first[:-1].repeat_interleave(6)
+        ).repeat_interleave(count)
+        column = (6 * col[place][:, None] + six).flatten()
+        self.pattern = Pattern.unchecked(start, column, 6 * nodes)
 
     def sums(
         self,
         first: Sequence[Int[Tensor, " m"]],
         entry_index: Sequence[Int[Tensor, "f f"]],
         size: int,
-        entries: Tensor | None,
+        entries: Int[Tensor, " k"] | None,
     ) -> Sums:
         """Return the map from numbers of cells [lanes, size] to entries of the pattern; None: to all of them.
 
         first        the first number of each cell, by kind
         entry_index  of each entry of its matrix, by kind
         """
-        starts, tables, offset = [], [], 0
-        for numbers, table in zip(first, entry_index, strict=True):
+        numbers, pairs, tables, offset = [], [], [], 0
+        for of_cells, table in zip(first, entry_index, strict=True):
             c = len(table) // 6
-            by_pair = table.reshape(c, 6, c, 6).movedim(2, 1).reshape(c * c, 36)
-            starts.append(
-                np.stack([numbers.repeat_interleave(c * c), offset + torch.arange(c * c).repeat(len(numbers))])
-            )
-            tables.append(by_pair.numpy().astype(np.int32))
+            tables.append(table.reshape(c, 6, c, 6).movedim(2, 1).reshape(c * c, 36))
+            numbers.append(of_cells.repeat_interleave(c * c))
+            pairs.append(offset + torch.arange(c * c).repeat(len(of_cells)))
             offset += c * c
-        number, pair = np.concatenate(starts, 1)[:, self._pairs]
-        table, row = np.concatenate(tables), self.pattern.rows.numpy().astype(np.int32)
-        chosen = np.arange(self.pattern.nnz, dtype=np.int32) if entries is None else entries.numpy()
+        number, pair, table = (torch.cat(x) for x in (numbers, pairs, tables))
+        number, pair, row = number[self._pairs], pair[self._pairs], self.pattern.rows.to(torch.int32)
+        chosen = torch.arange(self.pattern.nnz, dtype=torch.int32) if entries is None else entries
         counts, terms = [], []
-        for k in range(0, len(chosen), AT_ONCE):
-            entry = chosen[k : k + AT_ONCE]
+        for entry in chosen.split(AT_ONCE):
             r = row[entry]
-            R, i = np.divmod(r, 6)
-            place, j = np.divmod(entry - self.pattern.indptr[r], 6)
-            block = self._first[R] + place
+            R, i = torch.div(r, 6, rounding_mode="floor"), r % 6
+            within = entry - self.pattern.start[r]
+            block = self._first[R] + torch.div(within, 6, rounding_mode="floor")
             begin = self._start[block]
             count = self._start[block + 1] - begin
+            ends = count.cumsum(0)
+            term = torch.arange(int(count.sum())) + (begin - ends + count).repeat_interleave(count)
+            index = 36 * pair[term] + (6 * i + within % 6).repeat_interleave(count)
             counts.append(count)
-            ends = np.cumsum(count)
-            term = np.arange(ends[-1]) + np.repeat(begin - ends + count, count)
-            terms.append((number[term] + table[pair[term], np.repeat(6 * i + j, count)]).astype(np.int32))
-        start = np.cumsum(np.concatenate([np.zeros(1, np.int64), *counts]))
-        return Sums(torch.from_numpy(start), torch.from_numpy(np.concatenate([np.zeros(0, np.int32), *terms])), size)
+            terms.append((number[term] + table.flatten()[index]).to(torch.int32))
+        return Sums(_starts(torch.cat(counts)), torch.cat(terms), size)
+
+
+def _starts(counts: Tensor) -> Tensor:
+    """Where groups of so many begin, with the end."""
+    return torch.nn.functional.pad(counts.cumsum(0), (1, 0))

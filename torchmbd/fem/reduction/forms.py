@@ -118,7 +118,7 @@ class Sparse:
     def diagonal(self, values: Tensor) -> Tensor:
         on = self.pattern.diagonal
         zeros = values.new_zeros((*values.shape[:-1], self.size))
-        return zeros.index_add(-1, torch.from_numpy(self.pattern.indices[on]), values[..., on])
+        return zeros.index_add(-1, self.pattern.column[on], values[..., on])
 
     def transposed(self, values: Tensor) -> Tensor:
         return values[..., self.pattern.transposed]

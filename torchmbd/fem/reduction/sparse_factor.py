@@ -68,7 +68,8 @@ class SparseLayout:
         """The lower triangle as a matrix of cvxopt, its order by minimum degree, and the places of its values."""
         from cvxopt import amd, matrix, spmatrix  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
 
-        rows, cols = self.pattern.rows.numpy(), self.pattern.cols.numpy()
+        cols = self.pattern.indices.astype(np.int64)
+        rows = np.repeat(np.arange(self.size), np.diff(self.pattern.indptr))
         upper = np.flatnonzero(cols >= rows)  # the upper triangle by rows is the lower one by columns
         A = spmatrix(1.0, matrix(cols[upper]), matrix(rows[upper]), (self.size, self.size))
         return A, amd.order(A), upper

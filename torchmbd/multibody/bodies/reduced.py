@@ -78,8 +78,8 @@ def _place(assembly: Assembly, row: int) -> str:
     """A sentence about a free freedom that moves: its node, its direction and the nodes beside it."""
     pattern, free, count = assembly.pattern, assembly.freedoms.free, len(assembly.mesh.nodes)
     node, direction = _freedom_name(assembly, int(free[row]))
-    columns = pattern.indices[pattern.indptr[row] : pattern.indptr[row + 1]]
-    beside = (free[torch.from_numpy(columns).long()] // 6).unique().tolist()
+    columns = pattern.column[int(pattern.start[row]) : int(pattern.start[row + 1])]
+    beside = (free[columns] // 6).unique().tolist()
     others = ", ".join(str(k) for k in beside if k != int(free[row]) // 6 and k < count)
     return f"{node} moves most, {direction}; its neighbors are {others or 'none'}"
 
