@@ -88,7 +88,7 @@ def test_forward_reverse_and_backward_agree():
 def test_lanes_and_directions_nest_in_any_order(form):
     designs = torch.tensor([[0.0, 0.0], [0.1, -0.05], [-0.1, 0.02]], dtype=torch.float64)
     size = HELD + CROSSING.size
-    pattern = Pattern(*torch.ones(size, size).nonzero().unbind(1), size)
+    pattern = Pattern(torch.ones(size, size).nonzero()[:, 0], torch.ones(size, size).nonzero()[:, 1], size)
 
     def span(K: Tensor, M: Tensor) -> Tensor:
         if form == "sparse":

@@ -81,7 +81,7 @@ def test_solve_supernodes(p: int, monkeypatch: pytest.MonkeyPatch) -> None:
     block = torch.repeat_interleave(torch.arange(12), torch.tensor([3, 1, 9, 2, 6, 4, 5, 1, 7, 8, 2, 4]))
     near = (block[:, None] - block).abs() % 11 <= 1
     N, B = len(block), random(len(block), len(block))
-    pattern = Pattern(*near.nonzero().unbind(1), N)
+    pattern = Pattern(near.nonzero()[:, 0], near.nonzero()[:, 1], N)
     A = torch.where(near, B + B.mT, 0.0) + 40.0 * torch.eye(N, dtype=torch.float64)
     nodes = code().supernodes(pattern, torch.from_numpy(np.random.default_rng(p).permutation(N)))
     L, pivot, _ = code().factorize_supernodes(nodes, pattern, A[pattern.rows, pattern.cols])
@@ -100,7 +100,7 @@ def test_solve_supernodes(p: int, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_supernodes_merge_where_few_zeros_are_added() -> None:
     """A chain: columns have two entries, so that three zeros make one supernode of four columns."""
     near = (torch.arange(9)[:, None] - torch.arange(9)).abs() <= 1
-    nodes = code().supernodes(Pattern(*near.nonzero().unbind(1), 9), torch.arange(9))
+    nodes = code().supernodes(Pattern(near.nonzero()[:, 0], near.nonzero()[:, 1], 9), torch.arange(9))
     assert int(nodes.start[-1]) == int((nodes.first.diff() * (nodes.first.diff() + 1) // 2).sum()) + int(
         (nodes.first.diff() * nodes.below_start.diff()).sum()
     )
@@ -110,7 +110,7 @@ def test_supernodes_merge_where_few_zeros_are_added() -> None:
 
 def test_the_row_of_a_pivot_that_is_not_positive() -> None:
     near = (torch.arange(40)[:, None] - torch.arange(40)).abs() % 38 <= 2
-    pattern = Pattern(*near.nonzero().unbind(1), 40)
+    pattern = Pattern(near.nonzero()[:, 0], near.nonzero()[:, 1], 40)
     A = torch.where(pattern.rows == pattern.cols, 9.0, 1.0).double()
     A[pattern.diagonal[23]] = -1.0
     nodes = code().supernodes(pattern, torch.arange(40).flip(0))
@@ -120,7 +120,7 @@ def test_the_row_of_a_pivot_that_is_not_positive() -> None:
 @pytest.mark.parametrize("p", COLUMNS)
 def test_multiply_sparse(p: int) -> None:
     near = random(29, 29).abs() > 1
-    pattern = Pattern(*(near | near.mT).nonzero().unbind(1), 29)
+    pattern = Pattern((near | near.mT).nonzero()[:, 0], (near | near.mT).nonzero()[:, 1], 29)
     values, X = random(2, 3, pattern.nnz), random(2, 29, p)
     close(code().multiply_sparse(pattern, values, X), SparseMatrix(pattern, values) @ X[:, None])
 
@@ -128,7 +128,7 @@ def test_multiply_sparse(p: int) -> None:
 @pytest.mark.parametrize("p", COLUMNS)
 def test_pair(p: int) -> None:
     near = random(29, 29).abs() > 1
-    pattern = Pattern(*(near | near.mT).nonzero().unbind(1), 29)
+    pattern = Pattern((near | near.mT).nonzero()[:, 0], (near | near.mT).nonzero()[:, 1], 29)
     Y, X = random(2, 3, 29, p), random(2, 29, p)
     close(code().products_at_pattern(pattern, Y, X), (Y @ X[:, None].mT)[..., pattern.rows, pattern.cols])
 

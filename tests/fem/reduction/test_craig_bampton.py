@@ -27,7 +27,7 @@ def random_pencil(size: int = SIZE, seed: int = 2) -> tuple[torch.Tensor, torch.
 
 
 def sparse(matrix: torch.Tensor) -> SparseMatrix:
-    pattern = Pattern(*(matrix != 0).nonzero().unbind(1), matrix.shape[-1])
+    pattern = Pattern((matrix != 0).nonzero()[:, 0], (matrix != 0).nonzero()[:, 1], matrix.shape[-1])
     return SparseMatrix(pattern, matrix[pattern.rows, pattern.cols])
 
 

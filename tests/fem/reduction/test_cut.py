@@ -91,7 +91,7 @@ def test_large_sparse_lanes_are_cut_as_dense_ones(n):
     near = ((i[:, None] - i).abs() <= 1) & ~(
         (torch.minimum(i[:, None], i) == 99) & (torch.maximum(i[:, None], i) == 100)
     )
-    pattern = Pattern(*near.nonzero().unbind(1), size)
+    pattern = Pattern(near.nonzero()[:, 0], near.nonzero()[:, 1], size)
     on = pattern.rows == pattern.cols
     twice = torch.where(on, 2.0, -1.0).double()
     values = torch.stack([twice, torch.where(pattern.rows >= 100, 1.7 * twice, twice)])

@@ -21,7 +21,7 @@ def chain(masses: int, free: bool) -> torch.Tensor:
 
 def sparse(matrix: torch.Tensor) -> SparseMatrix:
     present = (matrix != 0).any(0) if matrix.dim() == 3 else matrix != 0
-    pattern = Pattern(*present.nonzero().unbind(1), matrix.shape[-1])
+    pattern = Pattern(present.nonzero()[:, 0], present.nonzero()[:, 1], matrix.shape[-1])
     return SparseMatrix(pattern, matrix[..., pattern.rows, pattern.cols])
 
 

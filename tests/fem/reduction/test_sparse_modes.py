@@ -24,7 +24,7 @@ def grid(shuffled: bool) -> Pattern:
     if shuffled:
         order = torch.randperm(N, generator=torch.Generator().manual_seed(4))
         near = near[order][:, order]
-    return Pattern(*near.nonzero().unbind(1), N)
+    return Pattern(near.nonzero()[:, 0], near.nonzero()[:, 1], N)
 
 
 def definite(pattern: Pattern, seed: int, margin: float) -> SparseMatrix:
