@@ -92,7 +92,8 @@ class InputError(MbdError, ValueError):
         return _received, (type(self), {**vars(self), "value": self._sent()}, self.args)
 
     def _sent(self) -> Any:
-        value = self.value.detach() if getattr(self.value, "requires_grad", False) else self.value
+        value: Any = self.value
+        value = value.detach() if getattr(value, "requires_grad", False) else value
         try:
             pickle.dumps(value)
         except (pickle.PicklingError, TypeError, AttributeError, RuntimeError):
