@@ -85,8 +85,9 @@ class threads:
     count   1 or more; more than the cores of this process are slower, not wrong
 
     Without it the environment variable TORCHMBD_THREADS holds, and without that one `cores()`. Workers have one thread unless
-    TORCHMBD_THREADS is set. Results have the same bits with any number. Threads share compiled code, and modes with their
-    derivatives. Other operators of torch, and laws in Python that compiled code calls back, run in one thread:
+    TORCHMBD_THREADS is set. Results have the same bits with any number. Threads share groups of at least 32 designs of
+    `problem.evaluate`, compiled code, and modes with their derivatives. Other operators of torch, laws in Python that
+    compiled code calls back, and all of a problem with classes or functions of a user, run in one thread:
     `motion.stats["threads"]`. Raises InputError for another count.
 
     >>> with mbd.threads(2):

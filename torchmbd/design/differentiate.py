@@ -24,6 +24,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.forward_integration import ForwardIntegration
 from torchmbd.integrate.integrated_trajectory import trajectory_of
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.pull_back import pull_back
 
@@ -101,7 +102,7 @@ def push_forward(f: Callable[[Any], Tensor], motion: Trajectory) -> ValueAndGrad
             return f(same)
 
         def push(directions: tuple[Tensor, ...], of_designs: dict[str, Tensor]) -> Any:
-            return torch.func.jvp(of_outputs, (outputs, moving), (directions, of_designs))
+            return jvp(of_outputs, (outputs, moving), (directions, of_designs))
 
         values, slopes = torch.func.vmap(push)(tangents, directions)
     value, gradient = values[0], slopes.movedim(0, -1)

@@ -33,6 +33,7 @@ from torchmbd.design.operations import formula, is_number, keeps_zero, operand, 
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
+from torchmbd.math.forward_mode import jvp
 from torchmbd.multibody.system import System
 
 
@@ -138,10 +139,10 @@ class Combined(History):
             return self.operation(*(y + (r[0] + 0.5 * r[1] * tau) * tau if r else y for y, r in parts))
 
         def rate(tau: Tensor) -> Tensor:
-            return torch.func.jvp(at_delay, (tau,), (torch.ones_like(tau),))[1]
+            return jvp(at_delay, (tau,), (torch.ones_like(tau),))[1]
 
         zero = torch.zeros((), dtype=torch.float64)
-        return torch.func.jvp(rate, (zero,), (torch.ones_like(zero),))[:2]
+        return jvp(rate, (zero,), (torch.ones_like(zero),))[:2]
 
     def check(self, system: System) -> None:
         for part in self.parts:

@@ -28,6 +28,7 @@ from torchmbd.integrate.contacts import MOST_SUBSTEPS
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.integrate.phase import Phase
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.jumps import distinct, jump_times
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.torch_law import OUT_OF_RANGE
@@ -275,7 +276,7 @@ def _warn_of_drive(drive: Drive, duration: float) -> None:
         return
 
     def of_time(t: Tensor) -> Tensor:
-        x, rate = torch.func.jvp(law, (t,), (torch.ones_like(t),))[:2]
+        x, rate = jvp(law, (t,), (torch.ones_like(t),))[:2]
         return torch.stack([x, rate] if drive.travels else [x.cos(), x.sin(), rate])
 
     times = _jumps(f"law of the drive {drive.name!r}", drive, lambda: [of_time], duration)

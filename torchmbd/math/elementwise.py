@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.pair import Pair, value
 
 
@@ -58,7 +59,7 @@ def partial_derivatives(f: Callable[..., Tensor], *xs: Tensor) -> list[Tensor]:
     """Partial derivatives of an elementwise function by each of its arguments."""
     result = []
     for k, x in enumerate(xs):
-        of_one: Any = torch.func.jvp(lambda y, k=k: f(*xs[:k], y, *xs[k + 1 :]), (x,), (torch.ones_like(x),))
+        of_one: Any = jvp(lambda y, k=k: f(*xs[:k], y, *xs[k + 1 :]), (x,), (torch.ones_like(x),))
         result.append(of_one[1])
     return result
 

@@ -5,6 +5,7 @@ two bodies share, the new value remains (torch 2.13). `call_module` replaces eve
 
 Parameters are replaced in place, and torch.func keeps its transforms in globals of the process: functions that use either are
 `exclusive`, run by one thread at a time. Their operators of torch use one thread, too: two make them 2 to 50 times slower.
+Threads of one evaluation, each with its own copy of all modules, run them at once (`apart`).
 
 Under a transform of torch.func every new tensor is wrapped, also one that is not differentiated: code that keeps tensors, or
 reads their memory, is run by `outside_transforms`. What is computed once and kept is none of the tensors that the calling graph
@@ -17,8 +18,8 @@ from __future__ import annotations
 import functools
 import sys
 import threading
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from typing import Any, ParamSpec, TypeVar
 
 import torch
@@ -30,6 +31,7 @@ from torchmbd.process import one_thread
 P = ParamSpec("P")
 R = TypeVar("R")
 _LOCK = threading.RLock()
+_thread = threading.local()  # apart: whether this thread has modules of its own
 
 
 def exclusive(f: Callable[P, R]) -> Callable[P, R]:
@@ -39,6 +41,8 @@ def exclusive(f: Callable[P, R]) -> Callable[P, R]:
     """
 
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:
+        if getattr(_thread, "apart", False):
+            return f(*args, **kwargs)
         with _LOCK, one_thread():
             return f(*args, **kwargs)
 
@@ -50,6 +54,19 @@ def exclusive(f: Callable[P, R]) -> Callable[P, R]:
 
     locked._torchdynamo_disable = True  # pyright: ignore[reportAttributeAccessIssue]
     return locked
+
+
+@contextmanager
+def apart() -> Iterator[None]:
+    """Run exclusive functions of this thread at once, on modules that no other thread has.
+
+    Another thread, which waits for this one inside an exclusive function, keeps all further threads out.
+    """
+    _thread.apart = True
+    try:
+        yield
+    finally:
+        _thread.apart = False
 
 
 @exclusive

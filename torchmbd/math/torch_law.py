@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, user_line
+from torchmbd.math.forward_mode import jvp
 
 # What a law may raise where it ends, as a table does, at states and times that a motion need not come to.
 OUT_OF_RANGE = (ValueError, IndexError, ArithmeticError, AssertionError)
@@ -56,7 +57,7 @@ def _number(x: float) -> Tensor:
 def _slope(what: str, law: Callable[[Tensor], Any], place: float, allowed: str) -> float:
     at = _number(place)
     try:
-        return float(torch.func.jvp(law, (at,), (torch.ones_like(at),))[1])
+        return float(jvp(law, (at,), (torch.ones_like(at),))[1])
     except InputError:
         raise
     except Exception as error:  # a law may do anything

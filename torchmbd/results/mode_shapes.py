@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.gradients import all_true, is_differentiated
 from torchmbd.math.module_call import call_module
 
@@ -118,7 +119,7 @@ def shape_tangents(system: Any, designs: Mapping[str, Tensor], directions: Mappi
         return call_module(system, {**designs, **moving}, name)["psi"]
 
     def push(direction: dict[str, Tensor]) -> Tensor:
-        return torch.func.jvp(shapes_of, (moving,), (direction,))[1]
+        return jvp(shapes_of, (moving,), (direction,))[1]
 
     with torch.no_grad():
         tangents: Any = torch.func.vmap(push)(dict(directions))

@@ -34,6 +34,7 @@ from torchmbd.fem.materials.isotropic_mean import present_mean
 from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.fem.mesh.material_axes import rule_of
 from torchmbd.math.distinct_rows import distinct_rows
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.sparse import Pattern
 
 MASSES = ("lumped", "consistent")
@@ -138,7 +139,7 @@ class Plates:
             return self.matrices.values(stiffer.entries(), entries, present_mean(stiffer))
 
         none = torch.zeros((), dtype=torch.float64)
-        by: Any = torch.func.jvp(grown, (none,), (torch.ones_like(none),))
+        by: Any = jvp(grown, (none,), (torch.ones_like(none),))
         return by[1]
 
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:

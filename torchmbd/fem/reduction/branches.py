@@ -42,7 +42,6 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.func import jvp
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER, Matrix, parse_pencil, signs, solve
@@ -50,6 +49,7 @@ from torchmbd.fem.reduction.cut import rounding
 from torchmbd.fem.reduction.eigenpairs import ModeSeparation, same_cluster
 from torchmbd.fem.reduction.forms import Dense, Diagonal
 from torchmbd.fem.reduction.transport import Pencil
+from torchmbd.math.forward_mode import jvp
 
 UNSPLIT = -1
 

@@ -6,6 +6,7 @@ Checked in tests/fem/reduction/test_latest.py.
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
@@ -22,6 +23,7 @@ class Latest(Generic[Result]):
     """The results of the last `BODIES` questions of different keys."""
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()  # threads of one evaluation ask at once
         self._kept: OrderedDict[Hashable, tuple[tuple[Tensor, ...], Result]] = OrderedDict()
 
     def __call__(self, key: Hashable, numbers: tuple[Tensor, ...], result: Callable[[], Result]) -> Result:
@@ -34,8 +36,9 @@ class Latest(Generic[Result]):
         self._kept.pop(key, None)
         del kept  # memory for what is made
         made = result()
-        self._kept[key] = tuple(x.detach().clone() for x in numbers), made
-        self._kept.move_to_end(key)
-        while len(self._kept) > BODIES:
-            self._kept.popitem(last=False)
+        with self._lock:
+            self._kept[key] = tuple(x.detach().clone() for x in numbers), made
+            self._kept.move_to_end(key)
+            while len(self._kept) > BODIES:
+                self._kept.popitem(last=False)
         return made

@@ -37,6 +37,7 @@ from torch import Tensor
 
 from torchmbd.fem.sections.geometry import SectionGeometry
 from torchmbd.fem.sections.warping import WarpingProblem, solve
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.inverse import balanced_inverse
 from torchmbd.math.vmap import FirstDerivative, apply_as_lanes
 from torchmbd.process import one_thread
@@ -163,7 +164,7 @@ def _by_dimensions(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tenso
     units = torch.eye(x.shape[1], dtype=x.dtype)[:, None].expand(-1, len(x), -1)
     energy = partial(_energy, problem, D=D)
     many = max(1, _NUMBERS_OF_DIRECTIONS // (len(x) * problem.geometry.field_size))
-    return torch.vmap(lambda e: torch.func.jvp(energy, (x,), (e,))[1], out_dims=-1, chunk_size=many)(units)
+    return torch.vmap(lambda e: jvp(energy, (x,), (e,))[1], out_dims=-1, chunk_size=many)(units)
 
 
 def _by_stiffness(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6 layers 6 6"]:

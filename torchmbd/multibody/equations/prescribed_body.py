@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.rotation import euler_parameters, quaternion_product
 from torchmbd.multibody.joints.primitive import slopes_at, values_at
@@ -83,6 +84,6 @@ class PrescribedBody:
         times = value(t)[0] if isinstance(t, Pair) else torch.as_tensor(t, dtype=torch.float64).reshape(-1)
         if not isinstance(t, Pair):
             return tuple(x.T[:, None] for x in self.motion(times))  # pyright: ignore[reportReturnType]
-        values, rates = torch.func.jvp(self.motion, (times,), (torch.ones_like(times),))[:2]
+        values, rates = jvp(self.motion, (times,), (torch.ones_like(times),))[:2]
         moved = zip(values, rates, strict=True)
         return tuple(Pair.of(x.T[:, None], rate.T[:, None] * t.tangent) for x, rate in moved)  # pyright: ignore[reportReturnType]

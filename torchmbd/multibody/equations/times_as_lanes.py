@@ -18,6 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.equations.topology import Prescribed, Schedule, Topology
@@ -40,7 +41,7 @@ def at_own_times(T: Topology, t: Any, data: Mapping[str, Any]) -> Prescribed:
         at = T.prescribed(s, data)
         return at.A, at.r
 
-    (A, r), rates = torch.func.jvp(poses, (now,), (torch.ones_like(now),))[:2]
+    (A, r), rates = jvp(poses, (now,), (torch.ones_like(now),))[:2]
     return prescribed._replace(A=Pair.of(A, rates[0] * t.tangent), r=Pair.of(r, rates[1] * t.tangent))
 
 
@@ -52,7 +53,7 @@ def at_time(f: Callable[..., tuple], dynamics: Any, t: Any, *state: Any) -> tupl
         return result
     plain, values = dynamics.values(), [value(x) for x in state]
     _ = plain.rank  # is found once, outside of the derivative
-    _, rates = torch.func.jvp(lambda s: f(plain, s, *values), (now,), (torch.ones_like(now),))[:2]
+    _, rates = jvp(lambda s: f(plain, s, *values), (now,), (torch.ones_like(now),))[:2]
     return tuple(Pair.of(value(x), x.tangent + rate * t.tangent) for x, rate in zip(result, rates, strict=True))
 
 

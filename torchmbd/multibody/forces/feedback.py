@@ -21,6 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.math.forward_mode import jacfwd, jvp
 from torchmbd.math.module_call import call_module, run_with_parameters
 from torchmbd.math.pair import Pair, cat, constant_map, value
 from torchmbd.math.variable import ParameterVector, law_key
@@ -55,7 +56,7 @@ class Control:
             return u_of(*(by_index.get(i, y) for i, y in enumerate(values)))
 
         def push(*directions: Tensor) -> Any:
-            return torch.func.jvp(u_of_varying, tuple(values[i] for i in varying), directions)[1]
+            return jvp(u_of_varying, tuple(values[i] for i in varying), directions)[1]
 
         tangents: Any = torch.func.vmap(push, 1, 1)(*(arguments[i].tangent for i in varying))
         return Pair.of(u[:, None], tangents)
@@ -84,7 +85,7 @@ class Control:
 
     def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:
         """du/dx [lanes or 1, outputs, inputs] of values x [inputs, 1, lanes] and data without tangents."""
-        du_dx = self._over_lanes(t, torch.func.jacfwd(self._one_lane(t), argnums=1))
+        du_dx = self._over_lanes(t, jacfwd(self._one_lane(t), argnums=1))
         return du_dx(self._parameters(x, data)[:, 0], x[:, 0]).movedim(-1, 0)
 
     def _parameters(self, x: Any, data: Mapping[str, Any]) -> Any:

@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.forward_mode import jacfwd
 from torchmbd.multibody.joints.joint import Attached, AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
@@ -80,7 +81,7 @@ def freedoms(joint: Joint) -> list[int]:
 
     If it leaves only combinations of these, those with the largest entries in the null space of its Jacobian.
     """
-    jacobian: Any = torch.func.jacfwd(lambda twist: _phi(joint, twist))
+    jacobian: Any = jacfwd(lambda twist: _phi(joint, twist))
     J = jacobian(torch.zeros(6, dtype=torch.float64))
     _, s, Vh = torch.linalg.svd(J, full_matrices=True)
     N = Vh[int((s > _RANK * s[0]).sum()) :]

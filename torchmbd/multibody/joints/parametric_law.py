@@ -17,6 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.variable import ParameterVector, law_key
@@ -59,5 +60,5 @@ class ParametricDrive(FiniteLaw):
         if not isinstance(parameters, Pair):
             return of_lanes(p)[:, None]
         dp_db = parameters.tangent.expand(*parameters.tangent.shape[:-1], p.shape[-1])
-        tangents: Any = torch.func.vmap(lambda dp: torch.func.jvp(of_lanes, (p,), (dp,))[1], 1, 1)(dp_db)
+        tangents: Any = torch.func.vmap(lambda dp: jvp(of_lanes, (p,), (dp,))[1], 1, 1)(dp_db)
         return Pair.of(of_lanes(p)[:, None], tangents)

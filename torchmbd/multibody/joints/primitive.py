@@ -41,6 +41,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.jet import Jet, cos, dot, sin
 from torchmbd.math.pair import cat
 
@@ -263,9 +264,9 @@ def slopes(law: Law, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         return method(t)
 
     def rates(s: Tensor) -> tuple:
-        return torch.func.jvp(law, (s,), (torch.ones_like(s),))
+        return jvp(law, (s,), (torch.ones_like(s),))
 
-    (x, velocity), (_, acceleration) = torch.func.jvp(rates, (t,), (torch.ones_like(t),))[:2]
+    (x, velocity), (_, acceleration) = jvp(rates, (t,), (torch.ones_like(t),))[:2]
     return x, velocity, acceleration
 
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.forward_mode import jvp
 from torchmbd.math.gradients import is_differentiated, refuse_lost_gradients
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES
@@ -46,7 +47,7 @@ def tangents_of(stage: Any, parameters: dict[str, Tensor]) -> dict[str, Any]:
     """
 
     def push(direction: dict[str, Tensor]) -> tuple:
-        return torch.func.jvp(stage, (parameters,), (direction,))
+        return jvp(stage, (parameters,), (direction,))
 
     values, tangents = torch.func.vmap(push, out_dims=(None, 0))(unit_directions(parameters))  # pyright: ignore[reportArgumentType]
     result: dict[str, Any] = {}

@@ -1,0 +1,32 @@
+"""Forward mode of torch, for one thread at a time: its level is a global of the process.
+
+The package calls these functions, and not those of torch.func, so that threads can evaluate designs (module_call.apart).
+Checked in tests/math/test_forward_mode.py.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import torch
+
+_LOCK = threading.RLock()
+
+
+def jvp(f: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
+    """Return f(*primals) and its derivative along the tangents, as torch.func.jvp does."""
+    with _LOCK:
+        return torch.func.jvp(f, primals, tangents)
+
+
+def jacfwd(f: Callable[..., Any], argnums: int = 0) -> Callable[..., Any]:
+    """Return the function that torch.func.jacfwd returns, for one thread at a time."""
+    jacobian = torch.func.jacfwd(f, argnums=argnums)
+
+    def alone(*args: Any) -> Any:
+        with _LOCK:
+            return jacobian(*args)
+
+    return alone
