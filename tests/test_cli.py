@@ -209,7 +209,7 @@ def test_list_names_configs_and_studies(folder, capsys):
     tracker.close()
     assert cli.main(["list"]) == 0
     (row,) = [line for line in capsys.readouterr().out.splitlines() if "rod_study" in line]
-    for cell in ("demo", "finished", "0.125", "91.50 %"):
+    for cell in ("demo", "finished", "0.125", "-91.50 %"):
         assert cell in row
     assert len(row) <= 80
 

@@ -41,7 +41,7 @@ def iterate(start: int, iteration: int, objective: float, violation: float = 0.0
 
 
 def table() -> Any:
-    headings = ["start", "objective", "less by", "viol.", *COLUMNS.headings, "iter", "sims", "status"]
+    headings = ["start", "objective", "change", "viol.", *COLUMNS.headings, "iter", "sims", "status"]
     result = table_of("a study of a long name: 2 starts, 1 of them converged, and its title goes on [x]", headings)
     for k in range(2):
         angles = ["-123.46"] * ANGLES
@@ -106,7 +106,15 @@ def test_without_a_terminal_the_best_has_a_line_per_iteration():
     lines = output.getvalue().splitlines()
     assert [float(line.split("objective ")[1].split()[0]) for line in lines] == [4.0, 3.0, 2.0, 1.5]
     assert all(len(line) <= 80 for line in lines)
-    assert "less by 62.50 %" in lines[-1]  # than start 0 at first, as in every table and in the store
+    assert "change -62.50 %" in lines[-1]  # than start 0 at first, as in every table and in the store
+
+
+@pytest.mark.parametrize(
+    ("sign", "last", "cell"), [(1.0, 5.0, "+25.00 %"), (1.0, 3.0, "-25.00 %"), (-1.0, 5.0, "+25.00 %")]
+)
+def test_a_change_has_the_sign_of_what_the_objective_does(sign, last, cell):
+    """An objective that grew has a plus, minimized or maximized; optimizers see its negative in the second case."""
+    assert outcome_cells(sign * 4.0, sign * last, 0.0, sign) == [f"{last:g}", cell, "0"]
 
 
 def test_the_live_table_fits():
@@ -124,7 +132,7 @@ def test_what_was_not_evaluated_has_no_numbers():
     nan = float("nan")
     assert outcome_cells(nan, nan, nan) == ["-", "-", "-"]
     assert outcome_cells(nan, 2.0, 0.1) == ["2", "-", "1e-01"]
-    assert outcome_cells(4.0, 2.0, 0.0) == ["2", "50.00 %", "0"]
+    assert outcome_cells(4.0, 2.0, 0.0) == ["2", "-50.00 %", "0"]
     assert outcome_cells(4.0, 2.0, 9e-15)[-1] == "0"  # an active constraint
 
 

@@ -106,6 +106,7 @@ def test_the_parent_sums_the_study_up(study):
     assert [child.data.tags["best"] for child in study.children].count("true") == 1
     first = study.client.get_metric_history(study.children[0].info.run_id, "objective")[0].value
     assert metrics["reduction_percent"] == pytest.approx(100 * (1 - min(objectives) / first))
+    assert "search/analyses" not in metrics  # of its starts; together they are the evaluations
     assert metrics["search/evaluations"] >= sum(child.data.metrics["search/analyses"] for child in study.children) / 2
     assert metrics["search/failed_evaluations"] == 0
     assert tags["seed"] == "7"

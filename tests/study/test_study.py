@@ -191,7 +191,7 @@ def test_other_problems_fronts_tolerances_and_steps(own):
     entry, text = find(uri, "front"), io.StringIO()
     print_best("front", uri, 5, Console(file=text, width=120))
     assert text.getvalue().split("status")[0].count("[J]") == 1  # the criteria stand for an objective
-    assert "less by" not in text.getvalue()
+    assert "change" not in text.getvalue()
     assert "load(" not in text.getvalue()  # a front has no one design
     assert f"{front.result.points[0].criteria[0]:.6g}" in text.getvalue()
     assert "motion" not in study_links("", entry.experiment_id, entry.run_id, entry.kind, entry.status)

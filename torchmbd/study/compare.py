@@ -25,7 +25,7 @@ from torchmbd.study.metric_names import (
     number_text,
     without_group,
 )
-from torchmbd.study.progress import drop_order, gain_heading, print_table, violation_cell, wrapped_heading
+from torchmbd.study.progress import CHANGE, change_cell, drop_order, print_table, violation_cell, wrapped_heading
 from torchmbd.tracking.catalog import ACTIVE, GOAL, MAXIMIZE, SEARCH_TEXT, VERIFICATION, Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import hidden
@@ -63,11 +63,11 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
     sign = -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
     criteria = criterion_metrics((child.metrics for child in best), sign)
-    titles = [gain_heading(sign) if name == gain_metric(sign) else metric_heading(name) for name in criteria]
+    titles = [CHANGE if name == gain_metric(sign) else metric_heading(name) for name in criteria]
     for title in ("", *titles, "viol.", *map(metric_heading, names), "status"):
         table.add_column(escape(wrapped_heading(title)), justify="right", no_wrap=True)
     for child in best:
-        cells = [child.name, *(_cell(child, name, gain_metric(sign)) for name in criteria)]
+        cells = [child.name, *(_cell(child, name, sign) for name in criteria)]
         violation = child.metrics.get("violation")
         cells.append("-" if violation is None else violation_cell(violation))
         cells += [number_text(name, child.metrics[name]) if name in child.metrics else "-" for name in names]
@@ -101,11 +101,11 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     )
 
 
-def _cell(child: Entry, name: str, share: str) -> str:
-    """Return the text of a metric of a start; `share` names the metric that is in percent."""
+def _cell(child: Entry, name: str, sign: float) -> str:
+    """Return the text of a metric of a start; `sign` is -1 for an objective that is maximized, else 1."""
     if name not in child.metrics:
         return "-"
-    return f"{child.metrics[name]:.2f} %" if name == share else f"{child.metrics[name]:.6g}"
+    return change_cell(child.metrics[name], sign) if name == gain_metric(sign) else f"{child.metrics[name]:.6g}"
 
 
 def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:

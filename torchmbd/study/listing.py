@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,8 +15,8 @@ from rich.text import Text
 
 from torchmbd.results.answer import MANY_FAILURES, NOT_VERIFIED
 from torchmbd.study.config_index import configs
-from torchmbd.study.metric_names import INCREASE, REDUCTION
-from torchmbd.study.progress import print_table, wrapped_heading
+from torchmbd.study.metric_names import INCREASE, gain_metric
+from torchmbd.study.progress import CHANGE, change_cell, print_table, wrapped_heading
 from torchmbd.tracking.catalog import VERIFICATION, Entry, children, studies
 from torchmbd.tracking.links import compare_link, experiment_link, run_link, view_link
 from torchmbd.tracking.store import store_uri
@@ -47,8 +48,8 @@ def print_studies(uri: str | None, console: Console) -> None:
         console.print(f"No studies yet in {escape(str(store))}.", soft_wrap=True)
         return
     table = Table(title=f"studies in {escape(str(store))}", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
-    for heading in ("experiment", "study", "kind", "began", "took", "status", "best objective", "better by", "run"):
-        numbers = heading in ("took", "best objective", "better by")
+    for heading in ("experiment", "study", "kind", "began", "took", "status", "best objective", CHANGE, "run"):
+        numbers = heading in ("took", "best objective", CHANGE)
         name = heading in ("experiment", "study")
         table.add_column(
             wrapped_heading(heading),
@@ -111,7 +112,7 @@ def _cells(entry: Entry) -> list[str]:
     def number(key: str, form: str) -> str:
         return form.format(entry.metrics[key]) if key in entry.metrics else "-"
 
-    verification = entry.tags.get(VERIFICATION, "")
+    verification, sign = entry.tags.get(VERIFICATION, ""), -1.0 if INCREASE in entry.metrics else 1.0
     return [
         entry.experiment,
         entry.name,
@@ -120,6 +121,6 @@ def _cells(entry: Entry) -> list[str]:
         "-" if entry.seconds is None else f"{entry.seconds:.0f} s",
         next((word for word in (NOT_VERIFIED, MANY_FAILURES) if verification.startswith(word)), entry.status.lower()),
         number("best_objective", "{:.6g}"),
-        number(INCREASE if INCREASE in entry.metrics else REDUCTION, "{:.2f} %"),
+        change_cell(entry.metrics.get(gain_metric(sign), math.nan), sign),
         entry.run_id[:8],
     ]

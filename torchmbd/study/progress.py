@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from torchmbd.optimization.optimizer import Iterate, OptimizationResult
     from torchmbd.study.columns import Columns
 
+CHANGE = "change"  # heading of the change of the objective from start 0, the first design of the study
 _HEADING = 12  # characters of a line of a heading
 ROWS = 40  # of a table on the terminal, about; a screen has no more
 _ROUNDING = 1e-12  # of constraints divided by their limits
@@ -98,10 +99,10 @@ class Progress:
 
     def _line(self, iterate: Iterate) -> str:
         """Return the line of an iterate, with its design if it fits."""
-        objective, less, violation = outcome_cells(self.first, iterate.objective, iterate.violation, self.sign)
+        objective, change, violation = outcome_cells(self.first, iterate.objective, iterate.violation, self.sign)
         line = (
             f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:<3d} iteration {iterate.iteration:<3d} "
-            f"objective {objective}  {gain_heading(self.sign)} {less}"
+            f"objective {objective}  {CHANGE} {change}"
         )
         line += f"  violation {violation}" if violation != "0" else ""
         values = "".join(f"  {value:z8.3f}" for value in self.columns.by_name(iterate.x).values())
@@ -115,7 +116,7 @@ class Progress:
 
     def _table(self) -> Table:
         title = f"{self.title}   {time.monotonic() - self._began:.0f} s"
-        basics, headings = ["start", "iter", "objective", gain_heading(self.sign), "viol."], self.columns.headings
+        basics, headings = ["start", "iter", "objective", CHANGE, "viol."], self.columns.headings
         table = table_of(title, [*basics, *headings, "sims"])
         for start, iterate in enumerate(self.latest):
             if iterate is None:
@@ -228,17 +229,17 @@ def print_table(table: Table, console: Console, optional: Sequence[int] = ()) ->
     return part is table
 
 
-def gain_heading(sign: float) -> str:
-    """Return the heading of the improvement of the objective over start 0, the first design of the study."""
-    return "less by" if sign > 0.0 else "more by"
+def change_cell(reduction: float, sign: float) -> str:
+    """Return the cell of the change of an objective, negative where it fell, from the reduction [%] of what is minimized."""
+    return f"{-sign * reduction:+.2f} %" if math.isfinite(reduction) else "-"
 
 
 def outcome_cells(first: float, objective: float, violation: float, sign: float = 1.0) -> list[str]:
-    """Return the cells of the objective (`sign` times what is minimized), its improvement over `first`, and the violation."""
+    """Return the cells of the objective (`sign` times what is minimized), its change from `first`, and the violation."""
     if math.isnan(objective):  # not evaluated
         return ["-", "-", "-"]
-    less = f"{100.0 * (first - objective) / abs(first):.2f} %" if first and not math.isnan(first) else "-"
-    return [f"{sign * objective:.6g}", less, violation_cell(violation)]
+    reduction = 100.0 * (first - objective) / abs(first) if first else math.nan
+    return [f"{sign * objective:.6g}", change_cell(reduction, sign), violation_cell(violation)]
 
 
 def violation_cell(violation: float) -> str:

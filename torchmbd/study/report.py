@@ -19,7 +19,7 @@ from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult, OptimizationResult
 from torchmbd.registry import Registry
 from torchmbd.study.journal import Journal
-from torchmbd.study.progress import ROWS, drop_order, gain_heading, outcome_cells, print_table, table_of
+from torchmbd.study.progress import CHANGE, ROWS, drop_order, outcome_cells, print_table, table_of
 from torchmbd.study.settings import StudySettings
 from torchmbd.summary import few
 from torchmbd.viz import (
@@ -47,7 +47,7 @@ def print_results(study: StudySettings, outcome: MultistartResult, failures: Seq
     columns = [
         "start",
         "objective",
-        gain_heading(study.sign),
+        CHANGE,
         "viol.",
         *study.columns.headings,
         "iter",

@@ -35,7 +35,7 @@ from torchmbd.study.discrete_polish import search_on_steps
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.front import run_front
 from torchmbd.study.journal import Journal
-from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS, constraint_names, without_group
+from torchmbd.study.metric_names import CONVERGED, STARTS, constraint_names, without_group
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
 from torchmbd.study.progress import Beginning, Progress
 from torchmbd.study.report import active_text, print_results, save_pictures
@@ -260,7 +260,7 @@ def _no_design_reason(outcome: MultistartResult, study: StudySettings) -> str:
 
 
 def _summarize(result: MultistartResult, journal: Journal) -> None:
-    numbers = {STARTS: len(result.results), CONVERGED: result.converged, ANALYSES: result.analyses}
+    numbers = {STARTS: len(result.results), CONVERGED: result.converged}
     tags = {}
     best = result.best
     if best is not None:
