@@ -38,6 +38,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, keyword_hints, true_or_false
+from torchmbd.fem.materials.expansion import Expansion, free_expansion, free_strains
 from torchmbd.fem.materials.laminate_checks import checked_angles, checked_correction, checked_plies, checked_thickness
 from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
@@ -209,6 +210,27 @@ class Laminate(nn.Module):
         Q = torch.stack(rows, -1).unflatten(-1, (3, 3))
         G = G.diagonal(dim1=-2, dim2=-1).mean(-1)[..., None, None] * torch.eye(2, dtype=G.dtype)
         return self._integrated(Q, G)
+
+    def expansion(
+        self, temperature: float | Tensor = 0.0, gradient: float | Tensor = 0.0, moisture: float | Tensor = 0.0
+    ) -> Expansion:
+        """Free strains and curvatures, and residual stresses of the plies, under a change of temperature or moisture.
+
+        temperature  change at the surface of the nodes [K], [] or [lanes]
+        gradient     change of temperature along the normal [K/m]
+        moisture     change of moisture, a share of the mass [-]
+        Raises InputError that names a ply without coefficients of what acts.
+
+        >>> ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=28e-6)
+        >>> strip = mbd.Laminate(ply, mbd.deg([0, 90]), thickness=0.125e-3).expansion(temperature=-120.0)
+        >>> strip.curvature[0].item() > 5.0, strip.stress.shape  # [1/m]; layers, their bottom and top, (11, 22, 12) [Pa]
+        (True, torch.Size([2, 2, 3]))
+        """
+        strains = free_strains(self.layer_plies, temperature, gradient, moisture)
+        T, _ = strain_rotations(self.layer_angles)
+        Q, _ = self.layer_stiffness
+        A, B, D, _ = self.stiffness()
+        return free_expansion(strains, T, Q, self.faces, self._moments(), (A, B, D))
 
     def shear_shape(self) -> ShearShape:
         """Return the stresses through the thickness of unit transverse shear forces."""

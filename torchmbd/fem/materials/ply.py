@@ -9,6 +9,8 @@ nu12            Poisson's ratio: strain along 2 for a stress along 1
 density         [kg/m3]
 strength        what failure criteria need (strength.py); None: no criterion is evaluated
 loss            loss factor: energy lost in a radian over the strain energy at the turn  [-]
+alpha1, alpha2  free strain along and across the fiber for a change of temperature  [1/K]
+beta1, beta2    free strain along and across the fiber for a change of moisture, a share of the mass  [-]
 
 Assumed: linear elastic; the strain energy is positive, that is E1, E2, G > 0 and nu12^2 < E1 / E2.
 Source: R. M. Jones, Mechanics of Composite Materials, 2nd ed., sections 2.4-2.5.
@@ -44,6 +46,10 @@ class Lamina:
     density: Any
     strength: Any
     loss: Any
+    alpha1: Any
+    alpha2: Any
+    beta1: Any
+    beta2: Any
 
     def plane_stiffness(self) -> Float[Tensor, "*lanes 3 3"]:
         """Reduced stiffness Q of plane stress [Pa]: (sig_11, sig_22, tau_12) = Q (eps_11, eps_22, gamma_12)."""
@@ -69,6 +75,8 @@ class Ply(Lamina):
     density         [kg/m3]
     strength        a Strength, for criteria of failure; None: no criterion can be evaluated
     loss            loss factor of its strain energy [-], zero or positive: damping of the modes of plates (modal_damping.py)
+    alpha1, alpha2  free strain along and across the fiber for a change of temperature [1/K], as Laminate.expansion needs them
+    beta1, beta2    free strain for a change of moisture, a share of the mass [-]; None: no such change may act
 
     A number may be mbd.variable(...): a design variable of the laminates and sections that are made of the ply, "ply.E1".
 
@@ -89,9 +97,14 @@ class Ply(Lamina):
     density: float | Tensor
     strength: Strength | None = None
     loss: float | Tensor = 0.0
+    alpha1: float | Tensor | None = None
+    alpha2: float | Tensor | None = None
+    beta1: float | Tensor | None = None
+    beta2: float | Tensor | None = None
 
     def __post_init__(self) -> None:
         check_positive(self)
+        _check_expansion(self, ("alpha1", "alpha2", "beta1", "beta2"))
         loss = number(self.loss)
         if not (is_real(loss) and math.isfinite(loss) and loss >= 0.0):
             raise InputError(
@@ -131,16 +144,19 @@ class Ply(Lamina):
         density: float | Tensor,
         strength: Strength | None = None,
         loss: float | Tensor = 0.0,
+        alpha: float | Tensor | None = None,
+        beta: float | Tensor | None = None,
     ) -> Ply | IsotropicPly:
-        """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3], loss factor [-].
+        """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3], loss factor [-], free
+        strains for changes of temperature [1/K] and moisture [-].
 
         Each may be mbd.variable(...): a design variable, "plate.laminate.ply.E".
         """
         check_isotropic("Ply.isotropic", E, nu, 0.5)
-        if is_variable(E) or is_variable(nu):
-            return IsotropicPly(E, nu, density, strength, loss)
+        if any(is_variable(x) for x in (E, nu, alpha, beta)):
+            return IsotropicPly(E, nu, density, strength, loss, alpha, beta)
         G = E / (2.0 * (1.0 + nu))
-        return cls(E1=E, E2=E, G12=G, G13=G, G23=G, nu12=nu, density=density, strength=strength, loss=loss)
+        return cls(E, E, G, G, G, nu, density, strength, loss, alpha, alpha, beta, beta)
 
 
 @dataclass(frozen=True)
@@ -154,8 +170,11 @@ class IsotropicPly(Lamina):
     density: float | Tensor
     strength: Strength | None = None
     loss: float | Tensor = 0.0
+    alpha: float | Tensor | None = None
+    beta: float | Tensor | None = None
 
     def __post_init__(self) -> None:
+        _check_expansion(self, ("alpha", "beta"))
         E, nu, density = (number(x) for x in (self.E, self.nu, self.density))
         Ply.isotropic(E, nu, density, self.strength, self.loss)  # the checks of a ply
 
@@ -177,6 +196,26 @@ class IsotropicPly(Lamina):
         return self.E / (2.0 * (1.0 + self.nu))
 
     G13 = G23 = G12
+
+    @property
+    def alpha1(self) -> float | Tensor | None:
+        """[1/K]"""
+        return self.alpha
+
+    @property
+    def beta1(self) -> float | Tensor | None:
+        """[-]"""
+        return self.beta
+
+    alpha2, beta2 = alpha1, beta1
+
+
+def _check_expansion(ply: Any, names: tuple[str, ...]) -> None:
+    """InputError unless the coefficients of expansion are finite numbers, variables or None."""
+    for name in names:
+        value = number(getattr(ply, name))
+        if not (value is None or (is_real(value) and math.isfinite(value))):
+            raise InputError(f"Ply: {name} = {value!r}; allowed: a finite number, mbd.variable(...) of one, or None")
 
 
 def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
