@@ -140,7 +140,7 @@ def test_gradients_are_those_of_differences():
 
 def test_lanes_of_designs_and_of_temperatures():
     """Rows of angles and of temperatures are those of single laminates."""
-    angles, change = mbd.deg([[0.0, 90.0], [30.0, -20.0]]), torch.tensor([-100.0, 40.0], dtype=torch.float64)
+    angles, change = mbd.deg(torch.tensor([[0.0, 90.0], [30.0, -20.0]])), torch.tensor([-100.0, 40.0], dtype=torch.float64)
     stack = mbd.Laminate(CARBON, angles[0], 1e-3)
     vars(many := mbd.Laminate.stacked([stack, stack]))["angles"] = angles
     result = many.expansion(change)
@@ -161,11 +161,13 @@ def test_bad_input_is_refused():
         ({"temperature": float("nan")}, "temperature is nan; allowed: a finite number"),
         ({"moisture": "wet"}, "moisture is 'wet'; allowed: a finite number"),
     ):
+        changes: dict[str, Any] = arguments
         with pytest.raises(InputError, match=match):
-            stack.expansion(**arguments)
+            stack.expansion(**changes)
     assert not any(bool(x.any()) for x in stack.expansion())
     for name in ("alpha1", "beta2"):
+        coefficients: dict[str, Any] = {name: float("inf")}
         with pytest.raises(InputError, match=f"Ply: {name} = inf; allowed: a finite number"):
-            mbd.Ply(E1, E2, G, G, G, NU, 1586.0, **{name: float("inf")})
+            mbd.Ply(E1, E2, G, G, G, NU, 1586.0, **coefficients)
     with pytest.raises(InputError, match="Ply: alpha = nan"):
         mbd.Ply.isotropic(mbd.variable(70e9), 0.3, 2700.0, alpha=float("nan"))

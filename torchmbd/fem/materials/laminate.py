@@ -223,7 +223,7 @@ class Laminate(nn.Module):
 
         >>> ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=28e-6)
         >>> strip = mbd.Laminate(ply, mbd.deg([0, 90]), thickness=0.125e-3).expansion(temperature=-120.0)
-        >>> strip.curvature[0].item() > 5.0, strip.stress.shape  # [1/m]; layers, their bottom and top, (11, 22, 12) [Pa]
+        >>> strip.curvature[0].item() < -5.0, strip.stress.shape  # [1/m]; layers, their bottom and top, (11, 22, 12) [Pa]
         (True, torch.Size([2, 2, 3]))
         """
         strains = free_strains(self.layer_plies, temperature, gradient, moisture)
