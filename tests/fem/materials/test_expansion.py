@@ -140,7 +140,10 @@ def test_gradients_are_those_of_differences():
 
 def test_lanes_of_designs_and_of_temperatures():
     """Rows of angles and of temperatures are those of single laminates."""
-    angles, change = mbd.deg(torch.tensor([[0.0, 90.0], [30.0, -20.0]])), torch.tensor([-100.0, 40.0], dtype=torch.float64)
+    angles, change = (
+        mbd.deg(torch.tensor([[0.0, 90.0], [30.0, -20.0]])),
+        torch.tensor([-100.0, 40.0], dtype=torch.float64),
+    )
     stack = mbd.Laminate(CARBON, angles[0], 1e-3)
     vars(many := mbd.Laminate.stacked([stack, stack]))["angles"] = angles
     result = many.expansion(change)

@@ -215,7 +215,8 @@ def _check_expansion(ply: Any, names: tuple[str, ...]) -> None:
     for name in names:
         value = number(getattr(ply, name))
         if not (value is None or (is_real(value) and math.isfinite(value))):
-            raise InputError(f"Ply: {name} = {value!r}; allowed: a finite number, mbd.variable(...) of one, or None")
+            allowed = "a finite number, mbd.variable(...) of one, or None"
+            raise InputError(name, value, allowed, noun=f"Ply: {name}", state=f"= {value!r}")
 
 
 def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
