@@ -102,3 +102,12 @@ def test_a_stage_is_told_to_who_listens(monkeypatch, capsys):
         bars.begin_stage("compiling")
     assert heard == ["choosing the steps", "compiling"]
     assert capsys.readouterr().err == ""
+
+
+def test_a_long_motion_says_so_before_it_starts(capsys):
+    with bars.motion_shown(True, 1.0):
+        bars.announce(54_348, 3)
+        bars.announce(400, 3)
+    with bars.without_bars():
+        bars.announce(54_348, 3)
+    assert capsys.readouterr().err.count("a motion of 54348 steps begins, of 3 designs") == 1

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 DELAY = 3.0  # [s] of a motion before its bar appears: a motion that takes less has none
 PATIENCE = 2.0  # [s] of a stage before its line appears in a script
+_LONG = 20_000  # steps that are announced
 _silent: ContextVar[bool] = ContextVar("silent", default=False)  # motions have no bars of their own
 _quiet: ContextVar[bool] = ContextVar("quiet", default=False)  # progress=False: stages have no lines
 _reached: ContextVar[Callable[[float], None] | None] = ContextVar("reached", default=None)
@@ -51,6 +52,12 @@ def say(text: str) -> None:
     """A line on standard error, where a motion has a bar of its own by default or on request."""
     if not _silent.get() and _reached.get() is not None:
         print(text, file=sys.stderr)
+
+
+def announce(steps: int, lanes: int) -> None:
+    """Say that a long motion begins, where it has a bar of its own."""
+    if steps >= _LONG:
+        say(f"torchmbd: a motion of {steps} steps begins" + (f", of {lanes} designs" if lanes > 1 else ""))
 
 
 @contextmanager

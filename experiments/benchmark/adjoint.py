@@ -14,6 +14,7 @@ import torchmbd as mbd
 from experiments.benchmark.cases import compilation, compiled_ready, crank3, differentiable_motion, interleaved
 from experiments.benchmark.report import Cell, Grid, Result, Settings
 from torchmbd.integrate.backend import with_backend
+from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 
 LANES, STEPS = 32, 500
@@ -30,7 +31,7 @@ def adjoint(settings: Settings) -> Result:
 
     @torch.no_grad()
     def steps() -> None:
-        integrator.integrate(with_backend(values, "native"), case.duration, STEPS)
+        InitialValueProblem.of_dynamics(with_backend(values, "native"), case.duration).integrate(integrator, STEPS)
 
     def backward() -> float:
         responses, leaves = differentiable_motion(moving, case.duration, STEPS)

@@ -20,9 +20,11 @@ from torchmbd.extensions.native import library
 from torchmbd.extensions.native.codegen.compiler import unavailable
 from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
+from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 from torchmbd.integrate.reverse_integration import ReverseIntegration
+from torchmbd.integrate.segment import single_segment
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History
@@ -140,7 +142,8 @@ def motion(
     """The motion stage of a batch: from frozen dynamics to `responses` of what is observed."""
     with torch.no_grad():
         integrator = integrator_of(DEFAULT, options).with_defaults(dynamics.topology)
-        history = integrator.integrate(with_backend(dynamics, "auto"), duration, steps).history
+        problem = InitialValueProblem.of_dynamics(with_backend(dynamics, "auto"), duration)
+        history = problem.integrate(integrator, steps).history
         U = observed(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
@@ -160,7 +163,7 @@ def differentiable_motion(
         duration=duration,
         steps=steps,
         system=None,
-        segments=None,
+        segments=single_segment(model),
         model=model,
         integrator=integrator,
     )

@@ -16,6 +16,7 @@ import torchmbd as mbd
 from experiments.benchmark.cases import Case, compilation, compiled_ready, crank3, differentiable_motion, interleaved
 from experiments.benchmark.report import Grid, Result, Settings
 from torchmbd.integrate.backend import with_backend
+from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 
 DESIGNS, FIGURE, STEPS = (1, 4, 16, 32, 128), 32, 500
@@ -62,7 +63,7 @@ def _functions(case: Case, lanes: int, steps: int) -> dict[str, Callable[[], obj
 
     @torch.no_grad()
     def motion() -> None:
-        integrator.integrate(with_backend(values, "auto"), case.duration, steps)
+        InitialValueProblem.of_dynamics(with_backend(values, "auto"), case.duration).integrate(integrator, steps)
 
     def adjoint() -> float:
         responses, leaves = differentiable_motion(moving, case.duration, steps)

@@ -20,7 +20,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import finished, pendulum
 from torchmbd.integrate import METHODS, Trajectory, adjoint_solver
-from torchmbd.integrate.initial_value import OneSegment
+from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.ode import ADAPTIVE, FIXED
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
@@ -121,9 +121,9 @@ def test_a_lane_that_fails_is_named_and_leaves_the_others_alone(method, system, 
         sick = system.dynamics(designs)
         sick.data["Kr"] = sick.data["Kr"].clone()
         sick.data["Kr"][..., 1] = torch.nan
-        both = integrate_lanes(integrator, OneSegment(sick, DURATION), steps)
+        both = integrate_lanes(integrator, InitialValueProblem.of_dynamics(sick, DURATION), steps)
         healthy = system.dynamics(designs).select_lanes([0])
-        alone = integrate_lanes(integrator, OneSegment(healthy, DURATION), steps)
+        alone = integrate_lanes(integrator, InitialValueProblem.of_dynamics(healthy, DURATION), steps)
     history, status = both.history, both.status
     assert alone.status == ["ok"]
     assert status[0] == "ok"

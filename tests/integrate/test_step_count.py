@@ -11,8 +11,7 @@ import torchmbd as mbd
 from tests.mechanisms import box, tensor
 from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.statistics import Statistics
-from torchmbd.integrate.step_count import all_modes, announce, first_steps, needed_steps
-from torchmbd.progress import motion_shown, without_bars
+from torchmbd.integrate.step_count import all_modes, first_steps, needed_steps
 from torchmbd.results.history import History
 
 pytestmark = pytest.mark.usefixtures("compiled")  # thousands of steps
@@ -136,12 +135,3 @@ def test_a_problem_keeps_the_steps_of_its_initial_design():
     )
     assert many.steps == two
     assert many.motions(2.0 * many.start).stats["steps"] == two
-
-
-def test_a_long_motion_says_so_before_it_starts(capsys):
-    with motion_shown(True, 1.0):
-        announce(54_348, 3)
-        announce(400, 3)
-    with without_bars():
-        announce(54_348, 3)
-    assert capsys.readouterr().err.count("a motion of 54348 steps begins, of 3 designs") == 1

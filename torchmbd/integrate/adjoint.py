@@ -120,19 +120,18 @@ class Adjoint:
         if of_leaves is None or len(lanes) < of_leaves.lanes or names != leaf_names:
             of_leaves = differentiable(dynamics.select_lanes(lanes) if len(lanes) < dynamics.lanes else dynamics, names)
         leaves = {name: of_leaves.data[name] for name in names}
-        _, condensed, start = prepare(of_leaves)
+        _, condensed, start, _ = prepare(of_leaves)
         checkpoints, states = history.checkpoints, history.lanes(columns)
         every = checkpoints.interval if checkpoints else 1
         steps = every * (len(history.q) - 1)
-        h = self.duration / steps
-        times, weights = h * torch.arange(steps + 1, dtype=torch.float64), self.integrator.weights(h)
+        times = torch.linspace(0.0, self.duration, steps + 1, dtype=torch.float64)
         return Grid(
             lanes=lanes,
             history=states,
             leaves=leaves,
             dynamics=condensed,
             start=start,
-            weights=weights,
+            weights=self.integrator.weights(self.duration / steps),
             times=times,
             integrator=checkpoints.integrator if checkpoints else self.integrator,
             corrections=self.integrator.counts(condensed)[1],

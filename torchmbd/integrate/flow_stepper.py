@@ -1,8 +1,9 @@
 """Steps of a flow of the index-1 equations (ode.py): to outputs, and to times that depend on the design.
 
-Lanes go one by one, each through all outputs of a run in one flow; where that fails, from output to output. So adaptive methods
-choose their own steps in a phase as in a motion without phases. Within a phase the augmented state has derivatives at fixed
-times; where a time t*(b) moves with the design they become total,
+All lanes of a motion go through the outputs of a run in one flow; where some have left the phase, or one of them cannot be
+integrated (its step size underflows), one by one, and from output to output. So adaptive methods choose their own steps in
+every phase. Within a phase the augmented state has derivatives at fixed times; where a time t*(b) moves with the design they
+become total,
 
     dz*/db = dz/db + z' dt*/db        and after the switch again derivatives at fixed times        dz/db = dz*/db - z' dt*/db
 
@@ -11,6 +12,7 @@ Checked in tests/integrate/test_flow_stepper.py, tests/contracts/test_integrator
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -31,60 +33,82 @@ _SAME = 1e-15  # of a time: times that are equal
 
 
 class FlowStepper(Stepper):
-    """Regular steps of size h [s]; `arguments`: of torchdiffeq.odeint. Each lane has steps of its own in them."""
+    """Regular steps of size h [s]; `arguments`: of torchdiffeq.odeint, which has steps of its own in them."""
 
     def __init__(self, dynamics: Dynamics, h: float, arguments: dict[str, Any]):
         super().__init__(dynamics)
         self.h, self.arguments = h, arguments
-        self._rates: dict[int, RightHandSide] = {}
+        self._rates: dict[tuple[int, ...], RightHandSide] = {}
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """See Stepper. The schedule counts steps only: the right-hand side evaluates laws itself."""
         self.steps = len(schedule)
-        lanes = {lane: self._lane(first, lane, x) for lane in lane_numbers(self.counts)}
+        times = self.h * torch.arange(first, first + self.steps + 1, dtype=torch.float64)
+        groups = self._groups(times, x)
         for k in range(len(schedule)):
             full = [_full(y).clone() for y in x]
-            for lane, states in lanes.items():
+            for lanes, states in groups.items():
                 for part, y in zip(full, states[k], strict=True):
-                    part[..., lane] = y[..., 0]
+                    part[..., lanes] = y
             x = State(*(Pair(y) if isinstance(x.q, Pair) else y for y in full))
             record.put(start + k, x)
         return x
 
-    def algorithmic(self, a: Any, vd: Tensor) -> Any:
-        """See Stepper. It is the true acceleration here."""
-        return Pair(vd[-1]) if vd.shape[-2] > 1 else vd[-1]
+    def _groups(self, times: Tensor, x: State) -> dict[tuple[int, ...], list[list[Tensor]]]:
+        """The states at the times after the first, of all lanes that count in one flow, or of each."""
+        lanes = tuple(lane_numbers(self.counts))
+        if len(lanes) == len(self.counts) > 1 and not self.failed:
+            try:
+                return {lanes: self._states(lanes, x, times)}
+            except FloatingPointError:
+                pass  # of one of the lanes: below it is found
+        return {(lane,): self._states_of_lane(lane, x, times) for lane in lanes}
 
-    def _lane(self, first: int, lane: int, x: State) -> list[list[Tensor]]:
-        """The states of one lane at the ends of the steps, the first of which begins at the point `first` of the grid."""
+    def _states(self, lanes: tuple[int, ...], x: State, times: Tensor) -> list[list[Tensor]]:
+        """The states of lanes at the times after the first, in one flow; raises FloatingPointError."""
+        y = torch.cat([_full(pick_lanes(part, lanes)) for part in (x.q, x.v)])
+        return self._of_augmented(lanes, [*flow(self._rates_of(lanes), y, times, self.arguments)[1:]], times)
+
+    def _of_augmented(self, lanes: tuple[int, ...], states: Sequence[Tensor], times: Tensor) -> list[list[Tensor]]:
+        """Parts of states, from augmented ones at the times after the first."""
+        T, result = self.dynamics.topology, []
+        for t, y in zip(times[1:], states, strict=False):
+            a, lam = self._rates_of(lanes).accelerations(t, y)
+            result.append([*y.split([T.n_q, T.n_v]), a, a, lam])
+        return result
+
+    def _rates_of(self, lanes: tuple[int, ...]) -> RightHandSide:
+        if lanes not in self._rates:
+            self._rates[lanes] = backend_of(self.dynamics).right_hand_side(lanes_of(self.dynamics, lanes))
+        return self._rates[lanes]
+
+    def _states_of_lane(self, lane: int, x: State, times: Tensor) -> list[list[Tensor]]:
+        """The same of one lane, whether it can be integrated or not."""
         state = [_full(pick_lanes(y, [lane])) for y in x]
         if lane in self.failed:
             return [state] * self.steps
-        if lane not in self._rates:
-            self._rates[lane] = backend_of(self.dynamics).right_hand_side(lanes_of(self.dynamics, [lane]))
-        f, y = self._rates[lane], torch.cat(state[:2])
-        times = self.h * torch.arange(first, first + self.steps + 1, dtype=torch.float64)
         try:
-            states = [*flow(f, y, times, self.arguments)[1:]]
+            return self._states((lane,), x, times)
         except FloatingPointError:
-            states = self._from_output_to_output(f, lane, y, times)
-        sizes, result = [len(state[0]), len(state[1])], []
-        for t, y in zip(times[1:], states, strict=False):
-            a, lam = f.accelerations(t, y)
-            result.append([*y.split(sizes), a, a, lam])
+            states = self._from_output_to_output(lane, torch.cat(state[:2]), times)
+        result = self._of_augmented((lane,), states, times)
         return result + [[y * torch.nan for y in state]] * (self.steps - len(result))
 
-    def _from_output_to_output(self, f: RightHandSide, lane: int, y: Tensor, times: Tensor) -> list[Tensor]:
+    def _from_output_to_output(self, lane: int, y: Tensor, times: Tensor) -> list[Tensor]:
         """Augmented states of one lane at the times after the first, up to where it cannot be integrated."""
         states: list[Tensor] = []
         for k in range(self.steps):
             try:
-                y = flow(f, y, times[k : k + 2], self.arguments)[-1]
+                y = flow(self._rates_of((lane,)), y, times[k : k + 2], self.arguments)[-1]
             except FloatingPointError as error:
                 self.failed[lane] = str(error)
                 break
             states.append(y)
         return states
+
+    def algorithmic(self, a: Any, vd: Tensor) -> Any:
+        """See Stepper. It is the true acceleration here."""
+        return Pair(vd[-1]) if vd.shape[-2] > 1 else vd[-1]
 
 
 def flow_of_size(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:

@@ -17,13 +17,13 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.backend import with_backend
-from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment, SeveralSegments
+from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.segment import segments_of
+from torchmbd.integrate.segment import is_single, segments_of
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import System
@@ -41,7 +41,7 @@ class ForwardIntegration(IntegratedMotion):
     system: System  # pyright: ignore[reportIncompatibleVariableOverride]
     variables: tuple[str, ...]
     labels: tuple[str, ...]
-    phases: Sequence[Phase] | None
+    phases: Sequence[Phase]
     actions: tuple[tuple[Action, ...], ...] = field(default=(), init=False)
     _tangents: list[Tensor] = field(default_factory=list, init=False)
 
@@ -51,7 +51,7 @@ class ForwardIntegration(IntegratedMotion):
         designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
         self.problem = self._problem(designs)
         self.integrate(self.problem, len(self.labels))
-        if self.phases is None:
+        if self.problem.is_single:
             self.dynamics.evaluate_rank()
         data = {name: x for name, x in self.dynamics.data.items() if isinstance(x, Pair) or x.shape[-1] > 1}
         self.outputs = Outputs.of(self.results, self.validity, data)
@@ -60,18 +60,18 @@ class ForwardIntegration(IntegratedMotion):
 
     def _problem(self, designs: dict[str, Tensor]) -> InitialValueProblem:
         """The structure stage."""
-        if self.phases is None:
-            dynamics = self.system.dynamics(designs, tangents=self.variables)
-            return OneSegment(with_backend(dynamics, self.backend, self.integrator.work), self.duration)
         whole, _ = segments_of(self.system, self.phases, self.duration)
         dynamics = whole.dynamics(designs, tangents=self.variables)
         system = self.system.with_modes(dynamics.topology.mode_counts)
         self.system, segments = segments_of(system, self.phases, self.duration)
         self.actions = tuple(segment.topology.actions for segment in segments)
-        dynamics = with_backend(replace(self.system.equations(), data=dynamics.data), self.backend, ())
-        directions = unit_directions({name: designs[name] for name in self.variables})
-        views = Views.of(self.system, dynamics, designs, directions)
-        return SeveralSegments(dynamics, segments, views, self.duration)
+        dynamics = replace(self.system.equations(), data=dynamics.data)
+        work = self.integrator.work if is_single(segments, dynamics.topology) else ()
+        dynamics = with_backend(dynamics, self.backend, work)
+        events = designs if any(segment.ends_by_event for segment in segments) else {}
+        directions = unit_directions({name: designs[name] for name in self.variables if name in events})
+        views = Views.of(self.system, dynamics, events, directions)
+        return InitialValueProblem(dynamics, segments, views, self.duration)
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         if not self.variables:

@@ -1,6 +1,5 @@
-"""The contract of an integrator: a method with its options, which integrates the equations of motion.
+"""The contract of an integrator: a method with its options, which makes the steps of a motion (phases/loop.py).
 
-    integrate             motion of all lanes over equal output intervals
     stepper               regular steps of all lanes, from output to output
     step_of_size          a step of every lane whose size and end may depend on the design
     estimates             of the errors of the steps
@@ -134,10 +133,6 @@ class Integrator(ABC):
     def with_defaults(self, topology: Topology) -> Integrator:
         """The integrator with the defaults that depend on the system."""
         return self
-
-    @abstractmethod
-    def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
-        """States at steps + 1 equal times, with tangents where the dynamics have any; a lane that fails is nan."""
 
     @abstractmethod
     def stepper(self, dynamics: Dynamics, h: float) -> Stepper:

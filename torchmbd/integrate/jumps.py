@@ -57,9 +57,9 @@ def held_times(control: Control, duration: float) -> list[float]:
     return distinct((t for m in histories for t in m.jumps), duration)
 
 
-def within_phases(times: Sequence[float], phases: Sequence[Phase] | None, duration: float) -> list[float]:
+def within_phases(times: Sequence[float], phases: Sequence[Phase], duration: float) -> list[float]:
     """Those of the times at which no phase ends: steps end there anyway."""
-    ends = [phase.end_time for phase in phases or () if phase.end_time is not None]
+    ends = [phase.end_time for phase in phases if phase.end_time is not None]
     return [t for t in times if not any(abs(t - end) <= _SAME * duration for end in ends)]
 
 
@@ -93,7 +93,7 @@ def warn_of_jumps(
     duration: float,
     steps: int | None,
     integrator: Integrator,
-    phases: Sequence[Phase] | None,
+    phases: Sequence[Phase],
     by_duration: bool,
 ) -> None:
     """Warn of laws that jump where no step ends, or whose value at a jump is that of one side.
@@ -118,17 +118,17 @@ def warn_of_jumps(
         divides = integrator.refines and count and substeps_at(within_phases(held, phases, duration), duration, count)
         for force in controllers:
             if not divides:
-                _warn_of_held(force, duration, steps, count, phases or ())
+                _warn_of_held(force, duration, steps, count, phases)
             _warn_of_module(force, duration)
         for force in system.forces:
             if not isinstance(force, Controller):
                 times = _jumps_of_force(force, duration)
                 _warn_of_force(force.name, [t for t in times if _acts(force.name, phases, t)])
-        for number, phase in enumerate(phases or ()):
+        for number, phase in enumerate(phases):
             for name, law in phase.laws.items():
                 of_time = [] if is_library_law(law) else [_at_a_state(law)]
                 times = _sampled(f"law of {name!r}", of_time, duration)
-                _warn_of_force(name, [t for t in times if _within(phases or (), number, t)])
+                _warn_of_force(name, [t for t in times if _within(phases, number, t)])
 
 
 def _jumps(
@@ -223,9 +223,9 @@ def _warn_of_force(name: str, times: Sequence[float]) -> None:
         )
 
 
-def _acts(name: str, phases: Sequence[Phase] | None, t: float) -> bool:
+def _acts(name: str, phases: Sequence[Phase], t: float) -> bool:
     """Whether the law that a force has in the system acts at time t."""
-    return not phases or any(name not in phase.laws and _within(phases, k, t) for k, phase in enumerate(phases))
+    return any(name not in phase.laws and _within(phases, k, t) for k, phase in enumerate(phases))
 
 
 def _within(phases: Sequence[Phase], number: int, t: float) -> bool:

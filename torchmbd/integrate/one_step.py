@@ -29,25 +29,15 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-import torch
-from torch import Tensor
-
 from torchmbd.errors import InputError
 from torchmbd.integrate.backend import backend_of
-from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.estimates import StepEstimates
-from torchmbd.integrate.integrator import IntegrationResult, Integrator, Stepper, Steps
-from torchmbd.integrate.prepared import prepare
-from torchmbd.integrate.segment import DURATION
+from torchmbd.integrate.integrator import Integrator, Steps
 from torchmbd.integrate.step import Weights
-from torchmbd.integrate.step_count import announce
-from torchmbd.integrate.stepper import EagerStepper, resume
-from torchmbd.integrate.variable_step import MovingSteps, step_of_size
+from torchmbd.integrate.stepper import EagerStepper
+from torchmbd.integrate.variable_step import step_of_size
 from torchmbd.math.checked_numbers import is_whole
-from torchmbd.math.pair import Pair, value
-from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.results.history import Checkpoints, Record, segments
 from torchmbd.results.state import State
 
 _ITERATIONS, _OF_BEAMS = (3, 1), (4, 2)  # corrections of values and tangents
@@ -114,45 +104,6 @@ class OneStep(Integrator):
     def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
         return step_of_size(dynamics, self.weights, x, h, t1, near)
 
-    def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
-        h, every = duration / steps, self.checkpoint
-        whole, condensed, x = prepare(dynamics).detached()
-        times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
-        by_duration = condensed.data.get(DURATION)
-        stepper: Stepper = (
-            MovingSteps(self, condensed, lambda k: by_duration * (k / steps))
-            if isinstance(by_duration, Pair)
-            else self.stepper(condensed, h)
-        )
-        record = Record(x, len(times))
-        record.put(0, x)
-        estimates = self.estimates(condensed, duration, steps)
-        watch = ContactWatch(whole, steps)
-        accelerations = []  # algorithmic ones at the first states of segments, where these are not all recorded
-        announce(steps, condensed.lanes)
-        for segment in segments(steps, every):
-            ends = h * torch.arange(segment.start + 1, segment.stop + 1, dtype=torch.float64)
-            schedule = condensed.topology.schedule(ends, condensed.data)
-            if every == 1:
-                x = stepper.run(x, schedule, record, segment.start, segment.start + 1)
-                states = record.history().at(slice(segment.start, segment.stop + 1))
-            else:
-                accelerations.append(value(x.a))
-                x, states = resume(stepper, x, schedule, segment.start)
-                record.put_all(segment.start // every + 1, states.at(slice(every, None, every)))
-            estimates.update(segment.start, states, stepper.take_errors())
-            if not watch.idle:
-                times_of_states = h * torch.arange(segment.start, segment.stop + 1, dtype=torch.float64)
-                full = replace(states, expansion=_expansion(whole, condensed, times_of_states))
-                watch.update(segment.start, times_of_states, *(full.rows(order, pair=slice(1)) for order in range(2)))
-        statistics = stepper.statistics()
-        estimates.put_into(statistics, every=every)
-        history = replace(
-            record.history(_expansion(whole, condensed, times)),
-            checkpoints=Checkpoints(every, accelerations, self) if every > 1 else None,
-        )
-        return IntegrationResult(history, statistics, contacts=watch.unresolved(h))
-
     def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates:
         return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)
 
@@ -170,10 +121,3 @@ class OneStep(Integrator):
             values, tangents = self.iterations or _OF_BEAMS
             return Steps(replace(self, iterations=(2 * values, tangents), refresh=0), 1)
         return Steps(replace(self, halvings=self.halvings - 1), 2) if self.halvings else None
-
-
-def _expansion(whole: Dynamics, condensed: Dynamics, times: Tensor) -> Expansion | None:
-    """Leads from states of the condensed system at these times to those of the whole; None: they are its own."""
-    if condensed.topology is whole.topology:
-        return None
-    return Expansion.of(condensed.initial.condensation, whole.data, times)

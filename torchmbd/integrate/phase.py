@@ -119,6 +119,9 @@ class Phase:
         return x if isinstance(x, Tensor) and is_differentiated(x) else None
 
 
+ONE_PHASE = (Phase(),)  # of a motion without switches: all joints and laws of the system act throughout
+
+
 def _number(x: float | Tensor) -> float:
     return untransformed(x).item() if isinstance(x, Tensor) else float(x)
 

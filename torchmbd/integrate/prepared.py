@@ -20,28 +20,37 @@ from torchmbd.results.state import State
 
 
 class Prepared(NamedTuple):
-    """A system, the condensed system, and the initial state of that; `condensed` is `whole` where nothing is condensed."""
+    """A system, the condensed system, and the initial states of that and of the whole; one where nothing is condensed."""
 
     whole: Dynamics
     condensed: Dynamics
     start: State
+    state: State
 
     def detached(self) -> Prepared:
         """The same without a graph of torch."""
         whole = _detached(self.whole)
         condensed = whole if self.condensed is self.whole else _detached(self.condensed)
-        return Prepared(whole, condensed, self.start.map(lambda x: linear(Tensor.detach, x)))
+        start, state = (x.map(lambda y: linear(Tensor.detach, y)) for x in (self.start, self.state))
+        return Prepared(whole, condensed, start, state)
 
 
 def prepare(dynamics: Dynamics) -> Prepared:
     """Initial state and condensed system, made once for a `Dynamics`; grad mode of the first call decides on a graph."""
     if dynamics.prepared is None:
-        x, condensed = initial(dynamics), dynamics.condensed()
+        state, condensed = initial(dynamics), dynamics.condensed()
+        x = state
         if condensed is not dynamics:
-            x = condensed.initial.condensation.retained_state(x)
+            x = condensed.initial.condensation.retained_state(state)
             x = x._replace(lam=condensed.zero_left_out(x.lam))
-        dynamics.prepared = Prepared(dynamics, condensed, x)
+        dynamics.prepared = Prepared(dynamics, condensed, x, state)
     return dynamics.prepared
+
+
+def prepare_whole(dynamics: Dynamics) -> Prepared:
+    """The same for steps of the whole system."""
+    state = initial(dynamics)
+    return Prepared(dynamics, dynamics, state, state)
 
 
 def differentiable(dynamics: Dynamics, names: Sequence[str]) -> Dynamics:

@@ -134,9 +134,8 @@ class Repetition:
                 raise InputError(
                     name, allowed="simulate again", noun=f"parameter {name!r}", state="has changed since the motion"
                 )
-        phases = self.simulation.phases
-        if phases is not None:  # times without gradients, and joints of any copy of the system
-            phases = [_plain(phase) for phase in phases]
+        # Times without gradients, and joints of any copy of the system.
+        phases = [_plain(phase) for phase in self.simulation.phases]
         other = self.simulation.with_arguments(duration=self.simulation.seconds, phases=phases, **arguments)
         return other(designs, gradients="none", progress=False)
 

@@ -1,8 +1,8 @@
 """A motion by a one-step method whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
 
-    inputs    the data of the reduced model, in the order of `names`; of several segments also designs [component..., 1, lanes]:
-              events and impact maps may depend on these, and on the mode shapes that follow from them
-    outputs   outputs.py; states of one segment are those of its condensed system
+    inputs    the data of the reduced model, in the order of `names`; where events end segments also designs
+              [component..., 1, lanes]: events and impact maps may depend on these, and on the mode shapes that follow from them
+    outputs   outputs.py; states of a single segment are those of its condensed system
 
 Tangents are integrated when they are asked for, together with the values once more, by the steps that gave these. Those by the
 duration are made by operators of torch (`MovingSteps`).
@@ -22,7 +22,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint import Adjoint
 from torchmbd.integrate.backend import with_backend
-from torchmbd.integrate.initial_value import InitialValueProblem, OneSegment, SeveralSegments
+from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.one_step import OneStep
@@ -32,7 +32,7 @@ from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.pullback import SegmentsPullback
 from torchmbd.integrate.prepared import differentiable
 from torchmbd.integrate.retries import LaneResults, integrate_again
-from torchmbd.integrate.segment import DURATION, Segment
+from torchmbd.integrate.segment import DURATION, Segment, is_single
 from torchmbd.math.pair import Pair, linear
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.motion_data import has_failed
@@ -43,13 +43,12 @@ class ReverseIntegration(IntegratedMotion):
     """By equal steps that have a pullback, and by steps of other sizes at switches.
 
     names            of the data;  designs: of the designs
-    segments         of a motion through phases; None: there is one segment, that of the model
     model            topology and options of its equations; its data are not used
     differentiated   names of data that are, as far as known before the integration: the initial state is then made once
     """
 
     integrator: OneStep  # pyright: ignore[reportIncompatibleVariableOverride]
-    segments: list[Segment] | None
+    segments: list[Segment]
     model: Dynamics
     designs: tuple[str, ...]
     differentiated: tuple[str, ...] = ()
@@ -65,15 +64,16 @@ class ReverseIntegration(IntegratedMotion):
             raise InputError("duration is a batch of torch.vmap; allowed: one duration for all designs")
         moves = zip(self.designs, inputs[len(self.names) :], strict=True)
         designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in moves}
-        work = (*self.integrator.work, "adjoint") if self.segments is None else ()
+        single = is_single(self.segments, self.model.topology)
+        work = (*self.integrator.work, "adjoint") if single else ()
         dynamics = with_backend(replace(self.model, data=data), self.backend, work)
-        if self.differentiated and self.segments is None:
+        if self.differentiated and single:
             self._of_leaves = differentiable(dynamics, self.differentiated)
         lanes = dynamics.lanes  # of torch.vmap; what has no part in it has one
         designs = {name: x.expand(lanes, *x.shape[1:]) for name, x in designs.items()}
         self.problem = self._problem_of(dynamics, designs)
-        self.integrate(self.problem if self._of_leaves is None else OneSegment(self._of_leaves, self.duration), 0)
-        if self.segments is None:
+        self.integrate(self.problem if self._of_leaves is None else replace(self.problem, dynamics=self._of_leaves), 0)
+        if single:
             self.dynamics = dynamics.share_rank(self.dynamics)  # without the graph of the leaves
             self.dynamics.evaluate_rank()
         self.outputs = self._outputs(self.results)
@@ -95,12 +95,11 @@ class ReverseIntegration(IntegratedMotion):
         differentiated = [name for name, needed in zip(self.names, needs_grad, strict=False) if needed]
         names, by_designs = [name for name in differentiated if name != DURATION], any(needs_grad[len(self.names) :])
         result: dict[str, Tensor] = {}
-        if (names or by_designs) and self.segments is None:
+        if names and self.problem.is_single:
             bar = self.outputs.like(outputs)
             result = self.adjoint(bar.states, names, bar.at_steps[:4] or (None,) * 4)
         elif names or by_designs:
             rows = next(x.shape[-2] for x in outputs if x is not None)
-            assert isinstance(self.problem, SeveralSegments)
             pullback = SegmentsPullback(self.problem, self.results)
             result = pullback(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
@@ -127,17 +126,14 @@ class ReverseIntegration(IntegratedMotion):
         self, dynamics: Dynamics, designs: dict[str, Tensor], along: dict[str, Tensor] | None = None
     ) -> InitialValueProblem:
         """along: tangents of the designs [k, lanes, ...]."""
-        if self.segments is None:
-            return OneSegment(dynamics, self.duration)
-        return SeveralSegments(dynamics, self.segments, Views.of(self.system, dynamics, designs, along), self.duration)
+        views = Views.of(self.system, dynamics, designs, along)
+        return InitialValueProblem(dynamics, self.segments, views, self.duration)
 
     def _integrated(self, data: Mapping[str, Tensor], designs: Mapping[str, Tensor]) -> list[Tensor]:
         """Tangents of all outputs along directions of the data [component..., k, lanes] and the designs [k, lanes, ...]."""
         count = next((x.shape[-2] for x in data.values()), 0) or next(len(x) for x in designs.values())
-        values, base_designs = self.problem.dynamics, {}
+        values, base_designs = self.problem.dynamics, self.problem.views.whole.designs
         moving = {name: Pair.of(values.data[name].detach(), dx) for name, dx in data.items()}
-        if isinstance(self.problem, SeveralSegments):
-            base_designs = self.problem.views.whole.designs
         along = {name: dx.expand(len(dx), len(base_designs[name]), *dx.shape[2:]) for name, dx in designs.items()}
         dynamics = replace(values, data={name: x.detach() for name, x in values.data.items()} | moving)
         assert self.steps is not None
@@ -150,7 +146,7 @@ class ReverseIntegration(IntegratedMotion):
     def _outputs(self, results: LaneResults) -> Outputs:
         """With the data that locks change."""
         data = {}
-        if results.data is not None and any(segment.locks for segment in self.segments or ()):
+        if results.data is not None:
             lanes = results.history.q.shape[-1]
             wide = {name: results.data[name] for name in MARKED if name in self.names}
             data = {name: linear(lambda y: y.expand(*y.shape[:-1], lanes), x) for name, x in wide.items()}

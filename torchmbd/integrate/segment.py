@@ -22,7 +22,8 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.integrate.phase import Phase
+from torchmbd.integrate.phase import ONE_PHASE, Phase
+from torchmbd.integrate.phases.events import Event
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.forces.action import Action, Law
 from torchmbd.multibody.forces.laws import check_law
@@ -65,6 +66,11 @@ class Segment:
         """The name among the data of the time at which it ends, or that it lasts, where the motion has gradients by it."""
         return f"end of phase {self.name}"
 
+    @property
+    def ends_by_event(self) -> bool:
+        """Whether a function of the motion ends it: of designs and mode shapes as well."""
+        return isinstance(self.phase.until, Event)
+
     @classmethod
     def of(cls, dynamics: Dynamics, phase: Phase, number: int) -> Segment:
         """A segment in which all joints act and none is locked."""
@@ -82,14 +88,14 @@ class Segment:
         )
 
 
-def switching(phases: Sequence[Phase] | None) -> Sequence[Phase] | None:
-    """The phases of a motion; None for a single one that locks, releases and replaces nothing: a motion without switches."""
-    if not isinstance(phases, (list, tuple)) or len(phases) != 1 or not isinstance(phases[0], Phase):
-        return phases
-    [phase] = phases
-    changes = phase.lock or phase.release or phase.laws or phase.impact
-    changes = changes or phase.until is not None or phase.lasting is not None
-    return phases if changes else None
+def single_segment(dynamics: Dynamics) -> list[Segment]:
+    """The segment of a motion without switches."""
+    return [Segment.of(dynamics, *ONE_PHASE, 0)]
+
+
+def is_single(segments: Sequence[Segment], whole: Topology) -> bool:
+    """Whether there is one segment, in which all joints and laws of the whole system act."""
+    return len(segments) == 1 and segments[0].topology is whole
 
 
 def segments_of(system: System, phases: Sequence[Phase], duration: float) -> tuple[System, list[Segment]]:

@@ -44,11 +44,11 @@ from torchmbd.integrate.lane_status import mark_gains
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.phase import Phase
+from torchmbd.integrate.phase import ONE_PHASE, Phase
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 from torchmbd.integrate.repetition import Repetition
 from torchmbd.integrate.reverse_integration import ReverseIntegration
-from torchmbd.integrate.segment import DURATION, segments_of, switching, times_of
+from torchmbd.integrate.segment import DURATION, is_single, segments_of, times_of
 from torchmbd.integrate.step_count import FEWEST, rounding
 from torchmbd.integrate.variables import entry_labels, lanes_of_batch, refuse_other_designs, variable_names
 from torchmbd.math.gradients import is_differentiated
@@ -69,6 +69,7 @@ class _Preparation(NamedTuple):
 
     topology, stabilization   of the system when it was prepared
     system                    the same with the start of the motions
+    is_single                 whether there is one segment, in which all joints and laws act
     """
 
     topology: Topology
@@ -76,6 +77,7 @@ class _Preparation(NamedTuple):
     start: Start
     system: System
     integrator: Integrator
+    is_single: bool
 
 
 class Simulation(Summary):
@@ -112,13 +114,12 @@ class Simulation(Summary):
     ):
         if not isinstance(system, System):
             raise InputError("system", system, "a System")
-        phases = switching(phases)
         self._integrator = checked_integrator(duration, method, steps, options, argument_names(Simulation))
         check_backend(backend)
         check_dtypes(system)
         self.system, self.duration, self.method, self.backend = system, duration, method, backend
         self.steps = None if steps is None else int(steps)
-        self.phases = list(phases) if isinstance(phases, list) else phases
+        self.phases = list(phases) if isinstance(phases, list) else ONE_PHASE if phases is None else phases
         self.start = dict(start) if isinstance(start, Mapping) else start
         self.options = options
         self._known: _Preparation | None = None
@@ -162,11 +163,10 @@ class Simulation(Summary):
         return Simulation(**{"system": self.system, "duration": self.duration} | self.settings | arguments)
 
     def _summary(self) -> list[tuple[str, Any]]:
-        phases = len(self.phases or ()) or 1
         return [
             ("bodies", ", ".join(body.name for body in self.system.bodies)),
             ("motion", f"{self.seconds:g} s, {self.method}, steps {self.steps or 'by default'}"),
-            ("phases", phases),
+            ("phases", len(self.phases)),
             ("backend", self.backend),
         ]
 
@@ -186,10 +186,10 @@ class Simulation(Summary):
             start = start_of(system, self.start)
             is_assembled = isinstance(self.start, str) and self.start == "assembled"
             from_start = system if is_assembled else system.starting(start)
-            if self.phases is not None:
-                _segments(from_start, self.phases, self.seconds)
+            whole, segments = _segments(from_start, self.phases, self.seconds)
         integrator = self._integrator.with_defaults(from_start.topology)
-        self._known = _Preparation(system.topology, system.stabilization, start, from_start, integrator)
+        single = is_single(segments, whole.topology)
+        self._known = _Preparation(system.topology, system.stabilization, start, from_start, integrator, single)
         return self._known
 
     @exclusive
@@ -214,10 +214,9 @@ class Simulation(Summary):
         with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
             warn_static_truncation(system)
             by_duration = duration_is_differentiated(self.duration, gradients, integrator)
-            if phases is not None:
-                check_phase_times(phases, gradients, integrator)
+            check_phase_times(phases, gradients, integrator)
             warn_of_jumps(system, seconds, steps, integrator, phases, by_duration)
-            by_times = by_duration or any(phase.time is not None for phase in phases or ())
+            by_times = by_duration or any(phase.time is not None for phase in phases)
             names = variable_names(system, design_values, gradients, variables, by_times)
             check_start(start, gradients, integrator)
             if gradients != "none":
@@ -230,7 +229,7 @@ class Simulation(Summary):
             intervals = integrator.stored_intervals(steps) if steps else FEWEST
             tangents = sum(x[0].numel() for name, x in batch.items() if name in names)
             require_memory(system, lanes, intervals, tangents, gradients != "forward")
-            if gradients == "forward" or phases is not None or not integrator.adjoint:
+            if gradients == "forward" or not prepared.is_single or not integrator.adjoint:
                 refuse_dual_level(batch)
             forward = gradients == "forward" or not isinstance(integrator, OneStep)
             if forward:
@@ -243,7 +242,7 @@ class Simulation(Summary):
             mode = "forward" if forward else "reverse"
             motion.stats["gradients"] = mode if names or by_times or start.is_differentiated else "none"
             with torch.no_grad():
-                if phases is None:
+                if prepared.is_single:
                     report_singular_positions(plain(motion))
                 motion.stats.pop("valid_times", None)
                 values = plain(motion, motion.integration.validity[0, 0])
@@ -288,19 +287,17 @@ class Simulation(Summary):
         model, integrator = prepared.system, prepared.integrator
         phases, seconds = self.phases, self.seconds
         assert isinstance(integrator, OneStep)
-        segments, system = None, model
-        if phases is not None:
-            system, segments = _segments(model, phases, seconds)
+        system, _ = _segments(model, phases, seconds)
         dynamics, shapes = system.stages(batch)
-        if phases is not None:
-            system, segments = _segments(model.with_modes(dynamics.topology.mode_counts), phases, seconds)
-            dynamics = replace(system.equations(), data=dynamics.data)
-        data = dynamics.data | times_of(segments or ())
+        system, segments = _segments(model.with_modes(dynamics.topology.mode_counts), phases, seconds)
+        dynamics = replace(system.equations(), data=dynamics.data)
+        data = dynamics.data | times_of(segments)
         if isinstance(duration, Tensor):
             data[DURATION] = duration[None, None]
+        events = batch if any(segment.ends_by_event for segment in segments) else {}
         integration = ReverseIntegration(
             names=tuple(data),
-            designs=tuple(batch) if segments else (),
+            designs=tuple(events),
             differentiated=tuple(name for name, x in data.items() if x.requires_grad and name != DURATION),
             duration=seconds,
             steps=self.steps,
@@ -310,12 +307,11 @@ class Simulation(Summary):
             integrator=integrator,
             backend=self.backend,
         )
-        designs = _lanes_last(batch) if segments else []
-        outputs: Any = Motion.apply(integration, *data.values(), *designs)
+        outputs: Any = Motion.apply(integration, *data.values(), *_lanes_last(events))
         if not torch.is_grad_enabled():
             shapes = {}  # made on demand: they take memory
         motion = trajectory_of(system, integration, outputs, data, batch, names, shapes)
-        motion.actions = tuple(segment.topology.actions for segment in segments or ())
+        motion.actions = tuple(segment.topology.actions for segment in segments)
         return at_moving_times(motion, duration) if isinstance(duration, Tensor) else motion
 
 

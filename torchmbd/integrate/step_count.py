@@ -30,11 +30,9 @@ from torchmbd.integrate.statistics import TURN
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.times_as_lanes import as_lanes
 from torchmbd.multibody.system import Dynamics
-from torchmbd.progress import say
 from torchmbd.results.motion_data import OK, has_failed
 
 FEWEST, RIGID = 200, 1000  # steps
-_LONG = 20_000  # steps that are announced
 _MOST_RIGID = 20_000
 _SAMPLES = 2048  # of laws of time
 _SHARE = 0.01  # of a law that straight lines between the steps may miss
@@ -122,12 +120,6 @@ def needed_steps(steps: int, result: IntegrationResult, status: Sequence[str], s
         elif error > _NEAR * GOOD_STEP / _FINER**2:
             needed = max(needed, math.ceil(_MORE * _FINER * float(s.suggested_steps[lane])))
     return min(needed, _MOST_MORE * steps)
-
-
-def announce(steps: int, lanes: int) -> None:
-    """Say that a long motion begins, where it has a bar of its own (progress.py)."""
-    if steps >= _LONG:
-        say(f"torchmbd: a motion of {steps} steps begins" + (f", of {lanes} designs" if lanes > 1 else ""))
 
 
 def _followed(f: Tensor, stride: int) -> bool:

@@ -13,16 +13,11 @@ from typing import Any, ClassVar
 import torch
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.integrate.backend import backend_of
-from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.flow_stepper import FlowStepper, flow_of_size
-from torchmbd.integrate.integrator import IntegrationResult, Integrator
-from torchmbd.integrate.ode import DEFAULTS, FIXED, augment, first_step, flow
-from torchmbd.integrate.prepared import initial
-from torchmbd.integrate.statistics import Statistics
+from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.ode import DEFAULTS, FIXED, first_step
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.results.history import History
 from torchmbd.results.state import State
 
 
@@ -57,37 +52,6 @@ class Torchdiffeq(Integrator):
             good, words = allowed[key]
             if not good(x):
                 raise InputError(("options", key), x, words, noun=f"options of method {self.name!r}: {key}")
-
-    def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> IntegrationResult:
-        """See Integrator. The statistics are the number of evaluations of the right-hand side."""
-        before = dynamics.statistics["evaluations"]
-        try:
-            history = self._integrate_together(dynamics, duration, steps)
-        except FloatingPointError as error:
-            if dynamics.lanes == 1:
-                x = initial(dynamics).map(lambda y: y * torch.nan)
-                return IntegrationResult(History.of([x] * (steps + 1)), Statistics(), {0: str(error)})
-            return _joined_lanes(
-                [self.integrate(dynamics.select_lanes([i]), duration, steps) for i in range(dynamics.lanes)]
-            )
-        watch, h = ContactWatch(dynamics, steps), duration / steps
-        if not watch.idle:
-            times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
-            watch.update(0, times, *(history.rows(order, pair=slice(1)) for order in range(2)))
-        statistics = Statistics(evaluations=dynamics.statistics["evaluations"] - before)
-        return IntegrationResult(history, statistics, contacts=watch.unresolved(h, by_steps=False))
-
-    def _integrate_together(self, dynamics: Dynamics, duration: float, steps: int) -> History:
-        """All lanes with the same steps; raises FloatingPointError where one of them cannot be integrated."""
-        T = dynamics.topology
-        start = initial(dynamics)
-        times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
-        y0 = torch.cat([augment(start.q, dynamics), augment(start.v, dynamics)])
-        f = backend_of(dynamics).right_hand_side(dynamics)
-        y = flow(f, y0, times, self.arguments(dynamics))
-        states = zip(times, y, strict=True)
-        a, lam = (torch.stack(x) for x in zip(*(f.accelerations(t, z) for t, z in states), strict=True))
-        return History(y[:, : T.n_q], y[:, T.n_q :], a, lam)
 
     def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:
         return FlowStepper(dynamics, h, self.arguments(dynamics))
@@ -127,13 +91,3 @@ def options_of(method: str) -> Mapping[str, Allowed]:
 
 def _number(x: Any) -> bool:
     return isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)
-
-
-def _joined_lanes(parts: list[IntegrationResult]) -> IntegrationResult:
-    """Lanes that were integrated one by one."""
-    histories = [part.history for part in parts]
-    q, v, vd, lam = (torch.cat([getattr(h, name) for h in histories], -1) for name in ("q", "v", "vd", "lam"))
-    evaluations = sum(part.statistics.evaluations or 0 for part in parts)
-    failed = {i: part.failed[0] for i, part in enumerate(parts) if part.failed}
-    contacts = {i: part.contacts[0] for i, part in enumerate(parts) if part.contacts}
-    return IntegrationResult(History(q, v, vd, lam), Statistics(evaluations=evaluations), failed, contacts)

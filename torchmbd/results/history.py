@@ -163,6 +163,17 @@ class Record:
         lanes = max(shape[-1] for shape in shapes)
         self.parts = [value(x.q).new_empty(count, *shape[:-1], lanes) for shape in shapes]
 
+    @classmethod
+    def of_dynamics(cls, dynamics: Any, count: int) -> Record:
+        """For states of all lanes of these dynamics; nan so far."""
+        T, shape = dynamics.topology, (1 + dynamics.tangents, dynamics.lanes)
+        nothing = [torch.full((n, *shape), torch.nan, dtype=torch.float64) for n in (T.n_q, T.n_v, T.rows)]
+        q, v, lam = (x if x.shape[-2] == 1 else Pair(x) for x in nothing)
+        record = cls(State(q, v, v, v, lam), count)
+        for part in record.parts:
+            part.fill_(torch.nan)
+        return record
+
     def put(self, i: int, x: State) -> None:
         """Keep the state of time i."""
         for part, y in zip(self.parts, (x.q, x.v, x.vd, x.lam), strict=True):

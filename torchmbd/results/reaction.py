@@ -68,8 +68,8 @@ def joint_named(system: System, name: str) -> Joint:
 def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) -> tuple[Tensor, Tensor]:
     """Force, and torque about the points `about` [lanes, times, 3], on the body of one side, in ground axes."""
     T = motion.dynamics.topology
-    # With phases the rows of the whole system, released ones and all locks, do not act together.
-    rank = None if motion.actions else motion.dynamics.rank
+    # Rows that are released, and those of locks, do not act together.
+    rank = motion.dynamics.rank if motion.is_single else None
     if rank is not None and joint.name in rank.undetermined:
         warn(
             f"over-constraint: equilibrium does not determine all loads of joint {joint.name!r}, because {few(rank.redundant)} "

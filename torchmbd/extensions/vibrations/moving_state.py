@@ -157,7 +157,7 @@ class MovingLinearization:
 def time_index(motion: Trajectory, time: float | None, name: str = "state") -> int:
     """The number of a time [s] among those of a motion, an argument `name`; None: the last. InputError for others, and for
     motions in phases."""
-    if motion.actions or motion.switches:
+    if not motion.is_single:
         raise InputError(
             name, allowed="a motion without, which may start at the end of another", state="is a motion in phases"
         )

@@ -43,6 +43,7 @@ from torchmbd.integrate.variable_step import MovingSteps, shortly_after
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.saddle.expansion import Expansion
+from torchmbd.progress import announce
 from torchmbd.results.history import SEGMENT, History
 from torchmbd.results.state import State
 
@@ -55,8 +56,9 @@ def integrate(multiphase: MultiphaseRun) -> Statistics:
 
     Those of steppers are the largest of all phases. Alternations are measured in the second half of each phase.
     """
+    announce(multiphase.steps, multiphase.whole.lanes)
     evaluations = multiphase.whole.statistics["evaluations"]
-    estimates = multiphase.integrator.estimates(multiphase.whole, multiphase.duration, multiphase.steps)
+    estimates = multiphase.integrator.estimates(multiphase.recorded, multiphase.duration, multiphase.steps)
     phase_exit, largest = multiphase.start(), Statistics()
     for number in range(len(multiphase.segments)):
         phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, estimates).run()
@@ -75,14 +77,14 @@ class _PhaseLoop:
         self.integrator, self.segment = multiphase.integrator, multiphase.segments[number]
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
         self.short = max(self.integrator.shortest_step, _SAME)
-        self.dynamics, self.condensed, x = multiphase.enter(number, entry)
+        self.dynamics, self.condensed, start_of_steps, x = multiphase.enter(number, entry)
         self.ends = multiphase.end_times(self.segment, entry.t, self.dynamics.data)
         self.entry, self.alive = PhaseExit(entry.t, x), multiphase.entered_lanes(entry)
         self.lanes = len(self.alive)
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
         self.event = self.segment.phase.until if isinstance(self.segment.phase.until, Event) else None
         on_grid = torch.tensor([self._on_grid(lane, int(k)) for lane, k in enumerate(self.first)])
-        self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, self.first, on_grid)
+        self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, start_of_steps, self.first, on_grid)
         self.search = None
         if self.event is not None:
             self.search = ShortEventSearch(self.event, self.record, self.integrator, multiphase.views, self.times)
@@ -98,6 +100,7 @@ class _PhaseLoop:
         """Step until every lane has left the phase, or to the end; exits, and statistics as of Stepper."""
         record, x, last = self.record, self.record.base, len(self.times) - 1
         i, steps, every = int(self.first.min()), None, self.multiphase.every
+        into = self.multiphase.states if self.multiphase.single and every == 1 else None
         stepper: Stepper = (
             MovingSteps(self.integrator, self.condensed, self._time)
             if self.multiphase.duration_moves
@@ -120,7 +123,7 @@ class _PhaseLoop:
                 if every > 1 and i % every == 0:
                     record.checkpoints[i] = value(x.a).clone()
                     stepper.restart()
-                steps = RegularSteps(stepper, self.condensed, self.times, i, j, x, inside, steps)
+                steps = RegularSteps(stepper, self.condensed, self.times, i, j, x, inside, steps, into)
                 x = steps.end
                 inside = self._left_behind(steps, inside)
             i = j
@@ -162,6 +165,10 @@ class _PhaseLoop:
     def _left_behind(self, steps: RegularSteps, inside: Tensor) -> Tensor:
         """Record steps of the lanes `inside`, and let those leave that pass the end of the phase; which stay."""
         i, history = steps.first, steps.states
+        if self.event is None and self.ends is None:  # none leaves
+            counted = inside.repeat(len(history.q), 1)
+            self._record(i, history, counted, counted, steps.stepper.take_errors(counted[1:]))
+            return inside
         g = self.g[:, None].expand(-1, len(history.q))
         if self.event is not None:
             g = torch.cat([self.g[:, None], self._event_values(i + 1, history.at(slice(1, None)))], 1)
@@ -208,6 +215,16 @@ class _PhaseLoop:
 
         stepped   lanes that have these states;  errors: of the iterations of the steps between them
         """
+        if self.multiphase.single:
+            self.multiphase.record_all(first, states)
+        else:
+            self._record_lanes(first, states, counted)
+        if self.estimates is not None and errors is not None:
+            c, every_lane = self.record.condensation, bool(stepped.all())
+            unknowns = states if self.condensed is self.multiphase.recorded or c is None else self._unknowns(c, states)
+            self.estimates.update(first, unknowns, errors, None if every_lane else stepped)
+
+    def _record_lanes(self, first: int, states: History, counted: Tensor) -> None:
         c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.segment.rows
         q, v, vd, lam = states.states
         if c is not None and self.multiphase.duration_moves:  # bodies of known motion move with the times of the grid
@@ -220,9 +237,6 @@ class _PhaseLoop:
         if c is not None:
             rows = [rows[k] for k in c.rows.tolist()]
         self.multiphase.record(self.number, first, counted, (q, v, vd, lam), rows)
-        if self.estimates is not None and errors is not None:
-            unknowns = states if c is None else self._unknowns(c, states)
-            self.estimates.update(first, unknowns, errors, stepped)
 
     def _unknowns(self, c: Condensation, states: History) -> History:
         """Condensed states as those of the whole system, zero where a body is no unknown: its motion has no error."""

@@ -52,6 +52,7 @@ class PhaseRecord:
     condensed: Dynamics
     entry: PhaseExit
     start: State
+    start_of_steps: State
     first: Tensor
     on_grid: Tensor
     checkpoints: dict[int, Tensor] = field(default_factory=dict)
@@ -61,7 +62,7 @@ class PhaseRecord:
     base: State = field(init=False)
 
     def __post_init__(self) -> None:
-        self.start_of_steps = self.arrival = self.base = self.retained(self.start)
+        self.arrival = self.base = self.start_of_steps
         never = linear(torch.zeros_like, self.entry.t)
         self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start._replace(lam=self.base.lam))
         self.has_exit = torch.zeros_like(self.on_grid)

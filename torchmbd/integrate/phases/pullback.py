@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint_solver import of_kept_states
-from torchmbd.integrate.initial_value import SeveralSegments
+from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.outputs import STATES, Outputs
 from torchmbd.integrate.phases.adjoint import PhaseAdjoint
 from torchmbd.integrate.phases.lane_leaves import Key, pulled_back
@@ -59,7 +59,7 @@ class _Lanes(NamedTuple):
 class SegmentsPullback:
     """The pullback of the motion of a problem by a one-step method."""
 
-    problem: SeveralSegments
+    problem: InitialValueProblem
     results: LaneResults
 
     def __call__(self, bar: Outputs, rows: int, names: Sequence[str], by_designs: bool) -> dict[str, Tensor]:

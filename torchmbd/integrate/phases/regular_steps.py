@@ -19,6 +19,7 @@ class RegularSteps:
 
     end      the last states;  states: those at all points, of the dynamics of the steps
     before   the steps before these
+    into     the record of all points of the grid that takes the states; None: one of these steps
     """
 
     def __init__(
@@ -31,16 +32,17 @@ class RegularSteps:
         x: State,
         lanes: Tensor,
         before: RegularSteps | None,
+        into: Record | None,
     ):
         self.stepper, self.first, self.x, self.before = stepper, first, x, before
         if before is not None:
             before.before = None  # of what was, the last point but one is asked for at most
-        record = Record(x, last - first + 1)
-        record.put(0, x)
+        record, begin = (Record(x, last - first + 1), 0) if into is None else (into, first)
+        record.put(begin, x)
         schedule = dynamics.topology.schedule(times[first + 1 : last + 1], dynamics.data)
         stepper.counts = lanes
-        self.end = stepper.run(x, schedule, record, first)
-        self.states = record.history()
+        self.end = stepper.run(x, schedule, record, first, begin + 1)
+        self.states = record.history().at(slice(begin, begin + last - first + 1))
 
     def state(self, k: int) -> State:
         """The state at the point k of the grid, or at the one before the first."""

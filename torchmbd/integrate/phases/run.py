@@ -26,16 +26,18 @@ from torchmbd.integrate.phases.switch import (
     jump,
     velocities_after_impact,
 )
-from torchmbd.integrate.segment import DURATION, Segment
+from torchmbd.integrate.prepared import Prepared, prepare, prepare_whole
+from torchmbd.integrate.segment import DURATION, Segment, is_single
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.times_as_lanes import at_own_times, at_time
 from torchmbd.multibody.saddle import reactions
+from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.saddle.least_norm import LeastNorm
 from torchmbd.multibody.start.start import EquilibriumConditions
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.results.history import History
+from torchmbd.results.history import Checkpoints, History, Record
 from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.state import State
 
@@ -49,6 +51,8 @@ class MultiphaseRun:
     whole   dynamics of the system with all joints and locks; its data receive the marks of the locks
     integrator  that makes the steps
     every   steps between two states that are kept: all between them are made again for the adjoint
+
+    States that are recorded are those of `recorded`: of the whole, or, where there is a single segment, of its regular steps.
     """
 
     whole: Dynamics
@@ -62,7 +66,12 @@ class MultiphaseRun:
     records: list[PhaseRecord] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        T, lanes, columns = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
+        lanes = self.whole.lanes
+        self.single: Prepared | None = None
+        if is_single(self.segments, self.whole.topology):
+            self.single = (prepare if self.integrator.condenses else prepare_whole)(self.whole).detached()
+            self.whole = self.single.whole
+        self.recorded = self.whole if self.single is None else self.single.condensed
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
         self.failures = [""] * lanes  # the first reason why a lane has failed
         self.failed_for_good: set[int] = set()  # lanes that would with smaller steps as well
@@ -75,11 +84,9 @@ class MultiphaseRun:
             depends = isinstance(until, Event) or DURATION in self.whole.data or segment.time_name in self.whole.data
             self.begin_depends.append(depends or (until is None and self.begin_depends[-1]))
         self.least_norm: list[LeastNorm | None] = []
-
-        def not_recorded(rows: int) -> Tensor:
-            return torch.full((self.steps // self.every + 1, rows, columns, lanes), torch.nan, dtype=torch.float64)
-
-        self.q, self.v, self.vd, self.lam = (not_recorded(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
+        count = self.steps // self.every + 1
+        self.states = Record(self.single.start, count) if self.single else Record.of_dynamics(self.whole, count)
+        self.q, self.v, self.vd, self.lam = self.states.parts
         self.kept_times = self.times[:: self.every]  # of the states that are kept
         self.views = self.views.continuing(self.kept_times, self.q, self.v)
         self.phase_number = torch.full((self.steps + 1, lanes), -1)
@@ -100,8 +107,22 @@ class MultiphaseRun:
     @property
     def history(self) -> History:
         """The motion at the times that are kept."""
-        segment = self.phase_number[:: self.every, None].double()
-        return History(self.q, self.v, self.vd, self.lam, segment=segment, run=self)
+        if self.single is None:
+            segment = self.phase_number[:: self.every, None].double()
+            return replace(self.states.history(), segment=segment, run=self)
+        return replace(self.states.history(self._expansion(self.kept_times)), checkpoints=self._checkpoints)
+
+    @property
+    def _checkpoints(self) -> Checkpoints | None:
+        """Of a single segment."""
+        accelerations = [a for record in self.records for a in record.checkpoints.values()]
+        return Checkpoints(self.every, accelerations, self.integrator) if self.every > 1 else None
+
+    def _expansion(self, times: Tensor) -> Expansion | None:
+        """Leads from states that are recorded at these times to those of the whole; None: they are its own."""
+        if self.recorded is self.whole:
+            return None
+        return Expansion.of(self.recorded.initial.condensation, self.whole.data, times)
 
     def multipliers(self, history: History, data: equations.Data | None = None) -> Tensor:
         """Multipliers of all rows [times, rows, pair, lanes] of states; of redundant ones those of least norm.
@@ -128,9 +149,11 @@ class MultiphaseRun:
 
     def start(self) -> PhaseExit:
         """Consistent initial positions and velocities under the joints that close the mechanism."""
+        t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
+        if self.single is not None:
+            return PhaseExit(t, self.single.state)
         q, v = (self._wide(x) for x in self.initial_coordinates(self.whole))
         self.initial_state = InitialState(value(q)[..., :1], value(v)[..., :1])
-        t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
         return PhaseExit(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
 
     def initial_coordinates(self, whole: Dynamics) -> tuple[Any, Any]:
@@ -155,9 +178,11 @@ class MultiphaseRun:
             return linear(lambda y: y.expand(*y.shape[:-1], lanes), x)
         return Pair.of(x, x.new_zeros(*x.shape[:-2], n, lanes))
 
-    def enter(self, number: int, phase_exit: PhaseExit) -> tuple[Dynamics, Dynamics, State]:
+    def enter(self, number: int, phase_exit: PhaseExit) -> Prepared:
         """The dynamics of a phase, those of its regular steps, and the state in which its lanes begin, with consistent
         accelerations."""
+        if self.single is not None:
+            return self.single
         data = data_with_marks(self.whole.topology, self.whole.data, phase_exit.x.q, self.segments[number].locks)
         if data is not self.whole.data:
             self.whole = replace(self.whole, data=data)
@@ -175,7 +200,8 @@ class MultiphaseRun:
                     t.tangent.T if isinstance(t, Pair) else None,
                 )
             )
-        return dynamics, of_steps, state
+        retained = state if of_steps is dynamics else of_steps.initial.condensation.retained_state(state)
+        return Prepared(dynamics, of_steps, retained, state)
 
     def _dynamics_of(self, number: int) -> tuple[Dynamics, Dynamics]:
         """The dynamics of a phase and those of its regular steps: of an earlier phase with the same equations and data."""
@@ -286,12 +312,10 @@ class MultiphaseRun:
 
         states   q, v, a [points, n, pair, lanes] of the whole system, and multipliers of some rows of it
         """
-        self.phase_number[first : first + len(counted)] = torch.where(
-            counted, number, self.phase_number[first : first + len(counted)]
-        )
+        times = slice(first, first + len(counted))
+        self.phase_number[times] = torch.where(counted, number, self.phase_number[times])
         if not self.watch.idle:
-            q, v = (x[:, :, :1] for x in states[:2])
-            self.watch.update(first, self.times[first : first + len(counted)], q, v, counted)
+            self.watch.update(first, self.times[times], *(x[:, :, :1] for x in states[:2]), counted)
         kept = slice(-first % self.every, None, self.every)
         *motion, lam = (x[kept] for x in states)
         counted, begin = counted[kept], -(-first // self.every)
@@ -301,14 +325,27 @@ class MultiphaseRun:
         new = torch.zeros_like(self.lam[at]).index_copy(1, index, lam.expand(*lam.shape[:-1], self.lam.shape[-1]))
         self.lam[at] = torch.where(counted[:, None, None], new, self.lam[at])
 
+    def record_all(self, first: int, states: History) -> None:
+        """Record states of the single segment, of all lanes, at the point `first` of the grid and those after it."""
+        times = self.times[first : first + len(states.q)]
+        self.phase_number[first : first + len(states.q)] = 0
+        if not self.watch.idle:
+            whole = replace(states, expansion=self._expansion(times))
+            self.watch.update(first, times, *(whole.rows(order, pair=slice(1)) for order in range(2)))
+        if self.every > 1:
+            kept = states.at(slice(-first % self.every, None, self.every))
+            self.states.put_all(-(-first // self.every), kept)
+
     def end(self, segment: Segment, lanes: Sequence[int]) -> None:
-        """Note lanes that are in a phase when the simulation ends: an error, unless it is the last, and they are finite."""
+        """Note lanes that are in a phase when the simulation ends: an error, unless it is the last."""
+        if segment is self.segments[-1]:
+            return
         finite = torch.stack([torch.isfinite(x).flatten(1, 2).all(1) for x in (self.q, self.v, self.vd)]).all(0)
         for lane in lanes:
             if not bool(finite[:, lane].all()):
                 first = int((~finite[:, lane]).long().argmax())
                 self.fail(lane, f"the motion is not finite from t = {float(self.kept_times[first]):.6g} s on")
-            elif segment is not self.segments[-1]:
+            else:
                 reason = f"it lasts beyond the end of the simulation at t = {self.duration:g} s"
                 if segment.phase.lasting is None:
                     reason = f"its event does not occur before the simulation ends at t = {self.duration:g} s"
