@@ -1,4 +1,4 @@
-"""The loop through the phases of a simulation: regular steps of all lanes, steps of other sizes at switches.
+"""The loop that makes every motion, phase by phase: regular steps of all lanes, steps of other sizes at switches.
 
     h* : g(t + h*, x(h*)) = 0       the last step of a phase (last_steps.py)
     t_k - t*                        the first step of the next one, back to the grid
@@ -10,6 +10,7 @@ Steps that are too short for the integrator are not made: the last step of a pha
 the first one ends one later, and the points between take the first terms of the Taylor series from the switch.
 
 All lanes are stepped together through one phase; the numbers of those that left it, or have not entered it yet, are not used.
+A motion without switches is a single phase, which all lanes enter at the start and none leaves.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """
 
@@ -225,6 +226,7 @@ class _PhaseLoop:
             self.estimates.update(first, unknowns, errors, None if every_lane else stepped)
 
     def _record_lanes(self, first: int, states: History, counted: Tensor) -> None:
+        """Record states of the whole system, out of condensed ones."""
         c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.segment.rows
         q, v, vd, lam = states.states
         if c is not None and self.multiphase.duration_moves:  # bodies of known motion move with the times of the grid
