@@ -139,14 +139,37 @@ def test_nobody_imports_upwards():
     assert {name: wrong for name, file in MODULES.items() if (wrong := upward(file.read_text(), name))} == {}
 
 
-@pytest.mark.thorough
-def test_no_modules_import_each_other_in_a_circle():
-    """Imports for annotations included."""
+def import_graph() -> dict[str, set[str]]:
+    """The modules that each module imports."""
     graph = {}
     for name, file in MODULES.items():
         named = {x if x in MODULES else x.rpartition(".")[0] for x in imports(file.read_text(), name, typing=True)}
         graph[name] = named & set(MODULES)
-    assert circles(graph) == []
+    return graph
+
+
+@pytest.mark.thorough
+def test_no_modules_import_each_other_in_a_circle():
+    """Imports for annotations included."""
+    assert circles(import_graph()) == []
+
+
+@pytest.mark.thorough
+def test_phases_import_nothing_that_imports_them():
+    """The loop through segments and its adjoint know steps, and nothing of who calls them."""
+    graph, phases = import_graph(), "torchmbd.integrate.phases"
+
+    def reached(name: str, seen: set[str]) -> set[str]:
+        for other in graph[name] - seen:
+            seen.add(other)
+            reached(other, seen)
+        return seen
+
+    members = {name for name in graph if name.startswith(f"{phases}.")}
+    used = {name for member in members for name in graph[member]} - members
+    assert {name for name in used if reached(name, set()) & members} == set()
+    assert members
+    assert used
 
 
 def extension_names(text: str) -> list[str]:

@@ -22,9 +22,9 @@ from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.motion import Motion
+from torchmbd.integrate.phases.segment import single_segment
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 from torchmbd.integrate.reverse_integration import ReverseIntegration
-from torchmbd.integrate.segment import single_segment
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History

@@ -19,7 +19,7 @@ from experiments.benchmark.report import Grid, Result, Settings
 from experiments.models import sar_antenna_whole
 from torchmbd.examples import slider_crank
 from torchmbd.extensions.native.codegen.compiler import unavailable
-from torchmbd.integrate.phase import Phase
+from torchmbd.integrate.phases.phase import Phase
 
 ANGLES, STEP, ANTENNA_STEPS, REPEATS = "rod.laminate.angles", 2e-4, 4000, 2  # STEP [s] resolves the rod
 WAYS = {"values": False, "gradient": True}

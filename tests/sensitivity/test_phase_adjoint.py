@@ -16,7 +16,7 @@ from tests.mechanisms import finished, pendulum, tensor
 from tests.sensitivity.test_events import DRIVEN, DURATION, NAME, PHASES, Falling, bounces, bouncing, driven, tip
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrate import Trajectory
-from torchmbd.integrate.segment import segments_of
+from torchmbd.integrate.phases.segment import segments_of
 from torchmbd.multibody.equations import equations
 
 pytestmark = pytest.mark.usefixtures("compiled")

@@ -8,7 +8,7 @@ peaks of the cubic are half a percent off, those of the quintic a ten thousandth
 Peaks are located without derivatives, and the curve is differentiated at their fixed positions: at an inner maximum the
 derivative by time is zero (envelope theorem). The gradient at the largest sample would be 2 % off at 500 samples.
 
-Where a motion passes from phase to phase (integrate/phase.py) a history may jump, at a time that depends on the design:
+Where a motion passes from phase to phase (integrate/phases/phase.py) a history may jump, at a time that depends on the design:
 one piece ends there and another begins, with two values at one time; nothing looks through the interval of length zero
 between them. The curve has the later value there, a window that begins at a switch the later and one that ends there the
 earlier one. Knots that move carry total derivatives, so all derivatives contain the effect of the moving jump.

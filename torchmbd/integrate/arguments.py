@@ -17,7 +17,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, nearest, one_of, unknown
 from torchmbd.integrate.backend import BACKENDS
 from torchmbd.integrate.integrator import Integrator
-from torchmbd.integrate.phase import Phase
+from torchmbd.integrate.phases.phase import Phase
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true, in_transform, is_differentiated, untransformed

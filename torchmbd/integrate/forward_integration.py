@@ -21,9 +21,9 @@ from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.outputs import Outputs
-from torchmbd.integrate.phase import Phase
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.segment import is_single, segments_of
+from torchmbd.integrate.phases.phase import Phase
+from torchmbd.integrate.phases.segment import is_single, segments_of
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import System
@@ -54,7 +54,7 @@ class ForwardIntegration(IntegratedMotion):
         if self.problem.is_single:
             self.dynamics.evaluate_rank()
         data = {name: x for name, x in self.dynamics.data.items() if isinstance(x, Pair) or x.shape[-1] > 1}
-        self.outputs = Outputs.of(self.results, self.validity, data)
+        self.outputs = Outputs.of(self.history, self.switches, self.validity, data)
         self._tangents = self.outputs.tangents(len(self.labels))
         return self.outputs.values()
 

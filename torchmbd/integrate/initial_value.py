@@ -16,7 +16,7 @@ from torchmbd.integrate.lanes import lanes_of
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.run import MultiphaseRun
-from torchmbd.integrate.segment import Segment, is_single, single_segment
+from torchmbd.integrate.phases.segment import Segment, is_single, single_segment
 from torchmbd.multibody.system.dynamics import Dynamics
 
 

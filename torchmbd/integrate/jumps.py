@@ -27,7 +27,7 @@ from torchmbd.errors import InputError, user_line, warn
 from torchmbd.integrate.contacts import MOST_SUBSTEPS
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
-from torchmbd.integrate.phase import Phase
+from torchmbd.integrate.phases.phase import Phase
 from torchmbd.math.forward_mode import jvp
 from torchmbd.math.jumps import distinct, jump_times
 from torchmbd.math.module_call import outside_transforms

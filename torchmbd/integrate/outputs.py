@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.retries import LaneResults
 from torchmbd.math.pair import Pair
+from torchmbd.results.history import History
 from torchmbd.results.motion_data import Switch
 
 SIDES = ("q", "v", "a", "lam")
@@ -41,13 +41,13 @@ class Outputs(NamedTuple):
     switches: Sequence[Sequence[Any]]
 
     @classmethod
-    def of(cls, results: LaneResults, validity: Tensor, data: Mapping[str, Any]) -> Outputs:
+    def of(cls, h: History, switches: Sequence[Switch], validity: Tensor, data: Mapping[str, Any]) -> Outputs:
         """Of a motion: pairs, or tensors of what has no tangents."""
-        h, at_steps = results.history, results.history.at_steps()
+        at_steps = h.at_steps()
         states = [Pair(x) for x in h.states]
         at_steps = [*(Pair(x) for x in at_steps[:STATES]), *at_steps[STATES:]]
         segment = [] if h.segment is None else [h.segment]
-        return cls(states, validity, at_steps, segment, data, [switch_numbers(x) for x in results.switches])
+        return cls(states, validity, at_steps, segment, data, [switch_numbers(x) for x in switches])
 
     @property
     def flat(self) -> list[Any]:

@@ -25,14 +25,14 @@ from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.motion import Tensors
+from torchmbd.integrate.motion_pullback import MotionPullback
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.adjoint import MARKED
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.pullback import SegmentsPullback
+from torchmbd.integrate.phases.segment import DURATION, Segment, is_single
 from torchmbd.integrate.prepared import differentiable
 from torchmbd.integrate.retries import LaneResults, integrate_again
-from torchmbd.integrate.segment import DURATION, Segment, is_single
 from torchmbd.math.pair import Pair, linear
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.motion_data import has_failed
@@ -100,7 +100,7 @@ class ReverseIntegration(IntegratedMotion):
             result = self.adjoint(bar.states, names, bar.at_steps[:4] or (None,) * 4)
         elif names or by_designs:
             rows = next(x.shape[-2] for x in outputs if x is not None)
-            pullback = SegmentsPullback(self.problem, self.results)
+            pullback = MotionPullback(self.problem, self.results)
             result = pullback(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
@@ -150,4 +150,4 @@ class ReverseIntegration(IntegratedMotion):
             lanes = results.history.q.shape[-1]
             wide = {name: results.data[name] for name in MARKED if name in self.names}
             data = {name: linear(lambda y: y.expand(*y.shape[:-1], lanes), x) for name, x in wide.items()}
-        return Outputs.of(results, self.validity, data)
+        return Outputs.of(results.history, results.switches, self.validity, data)

@@ -13,7 +13,7 @@ from typing import Any
 from torch import Tensor
 
 from torchmbd.errors import argument_names, keyword_hints
-from torchmbd.integrate.phase import Phase
+from torchmbd.integrate.phases.phase import Phase
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.simulation import Simulation
 from torchmbd.math.module_call import exclusive

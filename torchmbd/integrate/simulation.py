@@ -3,7 +3,7 @@
     parameters --structure stage--> data --Motion--> q, v, a, lam --torch--> responses
 
 A preparation has the start, the system that begins there with its topology and saddle point, the integrator with the defaults
-of this system, and the segments of the phases (segment.py). A call checks the designs and integrates.
+of this system, and the segments of the phases (phases/segment.py). A call checks the designs and integrates.
 
 Numbers count as they are at the call: parameters and constants of the system, and tensors of `start`. Where the topology of the
 system was made anew since the preparation, as `System` does for other constant positions, axes or rates of bodies and after
@@ -44,11 +44,11 @@ from torchmbd.integrate.lane_status import mark_gains
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.phase import ONE_PHASE, Phase
+from torchmbd.integrate.phases.phase import ONE_PHASE, Phase
+from torchmbd.integrate.phases.segment import DURATION, is_single, segments_of, times_of
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 from torchmbd.integrate.repetition import Repetition
 from torchmbd.integrate.reverse_integration import ReverseIntegration
-from torchmbd.integrate.segment import DURATION, is_single, segments_of, times_of
 from torchmbd.integrate.step_count import FEWEST, rounding
 from torchmbd.integrate.variables import entry_labels, lanes_of_batch, refuse_other_designs, variable_names
 from torchmbd.math.gradients import is_differentiated

@@ -19,6 +19,7 @@ from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
+from torchmbd.integrate.phases.segment import DURATION, Segment, is_single
 from torchmbd.integrate.phases.switch import (
     InitialState,
     data_with_marks,
@@ -27,7 +28,6 @@ from torchmbd.integrate.phases.switch import (
     velocities_after_impact,
 )
 from torchmbd.integrate.prepared import Prepared, prepare, prepare_whole
-from torchmbd.integrate.segment import DURATION, Segment, is_single
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.equations import equations

@@ -179,7 +179,7 @@ class System(nn.Module):
         self._saddle = Saddle(self.topology)
         self._initial = self._start.conditions(self.topology, ordered)
         self._of_modes: dict[tuple[int, ...], Self] = {}  # the same system for designs with other numbers of modes
-        self.segments_of_phases: list[tuple[tuple, Any]] = []  # kept by integrate/segment.py
+        self.segments_of_phases: list[tuple[tuple, Any]] = []  # kept by integrate/phases/segment.py
 
     def _constants_of_start(self) -> list[Tensor]:
         """Positions, axes, rates and modal coordinates of the bodies that are no design variables."""

@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.integrate.phase import ONE_PHASE, Phase
 from torchmbd.integrate.phases.events import Event
+from torchmbd.integrate.phases.phase import ONE_PHASE, Phase
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.forces.action import Action, Law
 from torchmbd.multibody.forces.laws import check_law

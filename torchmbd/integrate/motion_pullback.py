@@ -56,7 +56,7 @@ class _Lanes(NamedTuple):
 
 
 @dataclass(eq=False)
-class SegmentsPullback:
+class MotionPullback:
     """The pullback of the motion of a problem by a one-step method."""
 
     problem: InitialValueProblem
