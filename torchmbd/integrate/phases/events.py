@@ -251,13 +251,14 @@ class Views:
         designs: dict[str, Tensor],
         directions: dict[str, Tensor] | None = None,
     ) -> Views:
+        """Of the designs of a system; None: where no event ends a phase, and nothing reads them."""
         T, lanes = dynamics.topology, dynamics.lanes
         sizes = {"q": T.n_q, "v": T.n_v, "a": T.n_v, "lam": T.rows}
         no_times = TensorSignals({name: torch.zeros(lanes, 0, n, dtype=torch.float64) for name, n in sizes.items()})
         whole = Trajectory(
             t=torch.zeros(0, dtype=torch.float64),
             signals=no_times,
-            shapes=DesignShapes(system, designs, lanes),
+            shapes=GivenShapes({}.__getitem__) if system is None else DesignShapes(system, designs, lanes),
             status=[OK] * lanes,
             stats={},
             system=system,
