@@ -12,7 +12,7 @@ Checked in tests/integrate/test_flow_stepper.py, tests/contracts/test_integrator
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -33,12 +33,12 @@ _SAME = 1e-15  # of a time: times that are equal
 
 
 class FlowStepper(Stepper):
-    """Regular steps of size h [s]; `arguments`: of torchdiffeq.odeint, which has steps of its own in them."""
+    """Regular steps of size h [s]; `arguments`: of torchdiffeq.odeint, for the dynamics of some lanes."""
 
-    def __init__(self, dynamics: Dynamics, h: float, arguments: dict[str, Any]):
+    def __init__(self, dynamics: Dynamics, h: float, arguments: Callable[[Dynamics], dict[str, Any]]):
         super().__init__(dynamics)
         self.h, self.arguments = h, arguments
-        self._rates: dict[tuple[int, ...], RightHandSide] = {}
+        self._flows: dict[tuple[int, ...], tuple[RightHandSide, dict[str, Any]]] = {}
 
     def run(self, x: State, schedule: Schedule, record: Record, first: int = 0, start: int = 1) -> State:
         """See Stepper. The schedule counts steps only: the right-hand side evaluates laws itself."""
@@ -67,20 +67,26 @@ class FlowStepper(Stepper):
     def _states(self, lanes: tuple[int, ...], x: State, times: Tensor) -> list[list[Tensor]]:
         """The states of lanes at the times after the first, in one flow; raises FloatingPointError."""
         y = torch.cat([_full(pick_lanes(part, lanes)) for part in (x.q, x.v)])
-        return self._of_augmented(lanes, [*flow(self._rates_of(lanes), y, times, self.arguments)[1:]], times)
+        return self._of_augmented(lanes, [*self._flow(lanes, y, times)[1:]], times)
 
     def _of_augmented(self, lanes: tuple[int, ...], states: Sequence[Tensor], times: Tensor) -> list[list[Tensor]]:
         """Parts of states, from augmented ones at the times after the first."""
         T, result = self.dynamics.topology, []
         for t, y in zip(times[1:], states, strict=False):
-            a, lam = self._rates_of(lanes).accelerations(t, y)
+            a, lam = self._flow_of(lanes)[0].accelerations(t, y)
             result.append([*y.split([T.n_q, T.n_v]), a, a, lam])
         return result
 
-    def _rates_of(self, lanes: tuple[int, ...]) -> RightHandSide:
-        if lanes not in self._rates:
-            self._rates[lanes] = backend_of(self.dynamics).right_hand_side(lanes_of(self.dynamics, lanes))
-        return self._rates[lanes]
+    def _flow(self, lanes: tuple[int, ...], y: Tensor, times: Tensor) -> Tensor:
+        """Augmented states of lanes at the times, from y at the first."""
+        f, arguments = self._flow_of(lanes)
+        return flow(f, y, times, arguments)
+
+    def _flow_of(self, lanes: tuple[int, ...]) -> tuple[RightHandSide, dict[str, Any]]:
+        if lanes not in self._flows:
+            dynamics = lanes_of(self.dynamics, lanes)
+            self._flows[lanes] = backend_of(dynamics).right_hand_side(dynamics), self.arguments(dynamics)
+        return self._flows[lanes]
 
     def _states_of_lane(self, lane: int, x: State, times: Tensor) -> list[list[Tensor]]:
         """The same of one lane, whether it can be integrated or not."""
@@ -99,7 +105,7 @@ class FlowStepper(Stepper):
         states: list[Tensor] = []
         for k in range(self.steps):
             try:
-                y = flow(self._rates_of((lane,)), y, times[k : k + 2], self.arguments)[-1]
+                y = self._flow((lane,), y, times[k : k + 2])[-1]
             except FloatingPointError as error:
                 self.failed[lane] = str(error)
                 break

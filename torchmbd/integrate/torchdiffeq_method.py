@@ -54,7 +54,7 @@ class Torchdiffeq(Integrator):
                 raise InputError(("options", key), x, words, noun=f"options of method {self.name!r}: {key}")
 
     def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:
-        return FlowStepper(dynamics, h, self.arguments(dynamics))
+        return FlowStepper(dynamics, h, self.arguments)
 
     def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
         return flow_of_size(dynamics, x, h, t1, self.arguments(dynamics))
