@@ -56,7 +56,7 @@ class MultiphaseRun:
     """
 
     whole: Dynamics
-    segments: list[Segment]
+    segments: Sequence[Segment]
     views: Views
     duration: float
     steps: int
@@ -315,7 +315,8 @@ class MultiphaseRun:
         times = slice(first, first + len(counted))
         self.phase_number[times] = torch.where(counted, number, self.phase_number[times])
         if not self.watch.idle:
-            self.watch.update(first, self.times[times], *(x[:, :, :1] for x in states[:2]), counted)
+            q, v = (x[:, :, :1] for x in states[:2])
+            self.watch.update(first, self.times[times], q, v, counted)
         kept = slice(-first % self.every, None, self.every)
         *motion, lam = (x[kept] for x in states)
         counted, begin = counted[kept], -(-first // self.every)
