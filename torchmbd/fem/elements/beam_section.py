@@ -168,7 +168,7 @@ class Isotropic:
         for name in self.positive:
             value = number(getattr(self, name))
             if not 0.0 < value < float("inf"):
-                raise InputError(f"GivenSection: {name} = {value!r}; allowed: a finite number > 0")
+                raise InputError(name, value, "a finite number > 0", noun=f"GivenSection: {name}", state=f"= {value!r}")
         if not -1.0 < number(self.nu) <= 0.5:
             raise InputError(
                 "nu", number(self.nu), "-1 < nu <= 0.5", noun="GivenSection: nu", state=f"= {number(self.nu)!r}"
