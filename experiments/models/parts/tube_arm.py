@@ -4,18 +4,14 @@ import torch
 
 import torchmbd as mbd
 
-LENGTH, ROOT, TIP, ELEMENTS = 1.2, 0.030, 0.015, 4  # [m]
-
 
 def build() -> mbd.System:
     carbon = mbd.examples.carbon()
     wall, angles = mbd.variable(0.25e-3), torch.nn.Parameter(mbd.deg([45.0, -45.0, 0.0]))
-    radii = [ROOT + (TIP - ROOT) * (i + 0.5) / ELEMENTS for i in range(ELEMENTS)]
+    radii = (0.028125, 0.024375, 0.020625, 0.016875)  # [m], in the middles of four elements between 30 and 15 mm
     sections = [mbd.sections.tube(r, carbon, angles, thickness=wall, cells=(12, 1)) for r in radii]
-    arm = mbd.FlexibleBody.beam(
-        "arm", mbd.BeamLine.straight(LENGTH, ELEMENTS), sections, reference="start", damping=5e-3
-    )
-    tool = mbd.RigidBody("tool", mass=0.3, inertia=(2e-4, 2e-4, 2e-4), position=(LENGTH, 0, 0))
+    arm = mbd.FlexibleBody.beam("arm", mbd.BeamLine.straight(1.2, 4), sections, reference="start", damping=5e-3)
+    tool = mbd.RigidBody("tool", mass=0.3, inertia=(2e-4, 2e-4, 2e-4), position=(1.2, 0, 0))
     ground = mbd.Ground()
     shoulder = mbd.Revolute(ground.at(), arm.at("start"), axis="z", name="shoulder")
     motor = mbd.Drive(ground.at(), arm.at("start"), axis="z", angle=mbd.SmoothStep(mbd.deg(90.0), 0.5), name="motor")
