@@ -84,11 +84,12 @@ class threads:
 
     count   1 or more; more than the cores of this process are slower, not wrong
 
-    Without it the environment variable TORCHMBD_THREADS holds, and without that one `cores()`. Workers have one thread unless
-    TORCHMBD_THREADS is set. Results have the same bits with any number. Threads share groups of at least 32 designs of
-    `problem.evaluate`, compiled code, and modes with their derivatives. Other operators of torch, laws in Python that
-    compiled code calls back, and all of a problem with classes or functions of a user, run in one thread:
-    `motion.stats["threads"]`. Raises InputError for another count.
+    Without `threads` the environment variable TORCHMBD_THREADS states the number. Without this variable it is the number of
+    cores that this process may use. Workers have one thread unless TORCHMBD_THREADS is set. Results have the same bits with
+    any number. Threads share groups of at least 32 designs of `problem.evaluate`, steps of native code, and modes with their
+    derivatives. Other operators of torch run in one thread, and so do steps if native code calls a law in Python. A problem
+    with classes or functions of a user evaluates its groups in one thread. `motion.stats["threads"]` is the number of
+    threads of the steps. Raises InputError unless `count` is a whole number, 1 or more.
 
     >>> with mbd.threads(2):
     ...     motion = mbd.simulate(mbd.examples.pendulum(), 0.1, steps=20)

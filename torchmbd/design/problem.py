@@ -335,8 +335,11 @@ class Problem(Summary):
     steps = cached_property(problem_steps.problem_steps)
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        """Evaluate designs [lanes, n] in groups, which threads share (thread_copies.py); in several batches where one would
-        fill a large part of the memory."""
+        """Evaluate designs [lanes, n]; return an Evaluation for each, with a status that says whether the design failed.
+
+        Threads share groups of at least 32 designs (thread_copies.py). Designs whose motions would fill a large part of the
+        memory are evaluated in several batches.
+        """
         X = self._checked(X, len(self.names))
         batch = max(1, self._lanes_at_once(gradients) // self.simulations) if len(X) > 1 else 1
         if len(X) > batch:

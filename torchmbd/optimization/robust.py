@@ -115,16 +115,16 @@ class RobustProblem:
 
     @property
     def chooses_steps(self) -> bool:
-        """Whether the problem within tolerances chooses the steps of its motions."""
+        """Whether the number of steps was not given, so that the problem chooses it."""
         return hasattr(type(self.problem), "at_steps") and self.problem.chooses_steps  # type: ignore[attr-defined]
 
     @property
     def steps(self) -> int | None:
-        """Steps of all motions; None: there are none, or the start cannot be simulated."""
+        """Steps of all motions; None if the problem has no motions, or if its start cannot be simulated."""
         return getattr(self.problem, "steps", None)
 
     def at_steps(self, steps: int) -> RobustProblem:
-        """The problem by another number of steps."""
+        """Return the problem whose motions have another number of steps."""
         other = self.over(self.problem.at_steps(steps))  # type: ignore[attr-defined]
         assert other is not None
         return other

@@ -90,7 +90,7 @@ class Trajectory(MotionData):
         return self._kept(0.5, self.repetition.coarser)
 
     def by_longer_steps(self) -> Trajectory | None:
-        """The same motion with steps 2.3 times as long, whose motion with finer steps is this one; None: as of `coarser`."""
+        """The same motion with steps 2.3 times as long; None for an adaptive method, and if there are too few steps."""
         longer = self._kept("longer", self.repetition.by_longer_steps)
         if longer is not None:
             longer._again[2] = self

@@ -58,12 +58,13 @@ class _Stack:
 
 
 def write_bdf(design: Any, deck: str | Path, path: str | Path | None = None) -> Path:
-    """Write ply angles and thicknesses of a design into the deck that its bodies were read from; other cards are untouched.
+    """Write ply angles and thicknesses of a design into a copy of the deck from which its bodies were read.
 
     design   result of mbd.optimize or mbd.multistart, study of mbd.load, System or body; its bodies come from mbd.read_bdf
-    deck     the file that was read, with its contents of then; it keeps them
-    path     the file to write; None: beside the deck, NAME_optimized
-    Returns the path. Raises InputError where the deck has changed, and for a design that its cards cannot hold.
+    deck     the file that mbd.read_bdf has read, unchanged since then; write_bdf does not change it
+    path     the file to write; None: NAME_optimized in the folder of the deck
+    Cards that do not change keep every byte. Returns the path. Raises InputError if the deck has changed, or if its cards
+    cannot hold the design.
 
     >>> cards = "MAT8,1,128.+9,10.1+9,.23,5.4+9,5.4+9,5.4+9,1586.", "PCOMP,7,,,,,,,SYM", ",1,1.-3,20.,,1,1.-3,70."
     >>> grids = "GRID,1,,0.,0.,0.", "GRID,2,,1.,0.,0.", "GRID,3,,1.,1.,0.", "GRID,4,,0.,1.,0."
@@ -97,7 +98,7 @@ def _stacks_by_card(bodies: list[FlexibleBody], text: DeckText, deck: str) -> di
     if not members:
         names = ", ".join(repr(body.name) for body, _ in sources)
         rule = f"must be the deck of {names} with the contents that were read; it is another one, or was changed since"
-        nothing = "must be the deck that mbd.read_bdf made a body of the design of; no body has one"
+        nothing = "must be a deck from which mbd.read_bdf made a body of the design; no body has one"
         raise InputError("deck", deck, rule=rule if sources else nothing)
     stacks: dict[int, list[_Stack]] = {}
     for body, source in members:

@@ -66,11 +66,11 @@ class ShellModel:
         for k, (name, part) in enumerate(body.plates.items()):
             members = part.matrices.members.numpy()
             if bool((stack[members] >= 0).any()):
-                raise InputError(f"part {name!r} of {body.name!r} shares cells with another: must have its own")
+                raise InputError(f"part {name!r} of {body.name!r} shares cells with another part: must have its own")
             stack[members], axes[members] = k, part.matrices.axes.numpy()
             stacks.append(_stack(f"{body.name}.{name}", name, part.laminates[0], materials))
         if bool((stack < 0).any()):
-            raise InputError(f"body {body.name!r} has cells without a laminate: must have one for each")
+            raise InputError(f"body {body.name!r} has cells without a laminate: must have a laminate for each cell")
         return cls(
             body.name, mesh.nodes.numpy(), cells, stack, axes, stacks, list(materials.values()), list(body.reference)
         )
@@ -82,7 +82,7 @@ def _stack(full_name: str, name: str, laminate: Laminate, materials: dict[Any, P
         kind = type(laminate).__name__
         raise InputError(f"{full_name} is a {kind} or varies over the mesh: must be a mbd.Laminate of plies")
     if laminate.angles.dim() > 1:
-        raise InputError(f"{full_name} has {laminate.angles.shape[0]} designs at once: must be one")
+        raise InputError(f"{full_name} has {laminate.angles.shape[0]} designs at once: must be one. Try: one design")
     numbers = []
     for layer in laminate.layer_plies:
         ply = _constant(layer)

@@ -27,15 +27,15 @@ def write_model(
     modes: int = 10,
     elements: str = "quadratic",
 ) -> Path:
-    """Write a laminated body as a model of Nastran (.bdf, .dat, .nas), or of CalculiX and Abaqus (.inp).
+    """Write a laminated body as a model for Nastran (.bdf, .dat, .nas), or for CalculiX and Abaqus (.inp).
 
     design    a body, a System, a result of mbd.optimize or mbd.multistart, or a study of mbd.load
-    path      the file to write
-    body      name of the body, where there are several
+    path      the file to write; its ending chooses the program
+    body      name of the body; needed if the design has several
     units     of the file: "m", "mm", "cm", "in", "ft", as in read_bdf
-    modes     number of modes that the file asks for, with the reference nodes of the body held
+    modes     number of modes that the file asks for, while the reference nodes of the body are held
     elements  of an .inp: "quadratic" (S8R, S6, which CalculiX needs for composites), or "linear" (S4, S3 of Abaqus)
-    Returns the path. Raises InputError for a body with more than laminated shells.
+    Returns the path. Raises InputError for a body that has other parts than laminated shells.
 
     >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([20, -50]), thickness=1e-3)
     >>> plate = mbd.FlexibleBody.plate("plate", mbd.mesh.rectangle(0.3, 0.1, (6, 2)), laminate, 2, reference="left_edge")

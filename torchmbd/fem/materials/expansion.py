@@ -5,10 +5,10 @@
     [A B; B D] (eps, kappa) = (N, M)               the free laminate carries no forces
     sigma_k(z) = Q_k (T_k (eps + z kappa) - e_k(z))
 
-T0, T1         change of temperature at the surface of the nodes [K] and along the normal [K/m]
+T0, T1         change of temperature at z = 0, the surface of the nodes [K], and per meter along the normal [K/m]
 C              change of moisture, a share of the mass [-]
-N, M           forces [N/m] and moments [N] that would hold the laminate as it is
-eps, kappa     strains xx, yy, xy of that surface and curvatures [1/m] of the free laminate
+N, M           forces [N/m] and moments [N] that would cause the same strains; the opposite ones hold the laminate as it was
+eps, kappa     strains xx, yy, xy of this surface, and curvatures [1/m], of the free laminate
 sigma          residual stresses 11, 22, 12 in ply axes [Pa]
 
 Differentiable, forward and reverse, in angles, thicknesses, numbers of plies, and in the changes.
@@ -38,7 +38,7 @@ _KINDS = {"temperature": ("temperature", "gradient"), "moisture": ("moisture",)}
 class Expansion(NamedTuple):
     """Strains and stresses of a free laminate.
 
-    force      N [..., 3] [N/m], moment M [..., 3] [N]: of the laminate that is held
+    force      N [..., 3] [N/m], moment M [..., 3] [N]: loads that would cause the same strain and curvature
     strain     xx, yy, xy of the surface of the nodes [..., 3], curvature [..., 3] [1/m]: of the free laminate
     stress     11, 22, 12 of each layer at its bottom and top, from the bottom of the stack [..., layers, 2, 3] [Pa]
     """
@@ -58,7 +58,7 @@ class FreeStrains(NamedTuple):
 
 
 def free_strains(plies: Sequence[Any], temperature: Any, gradient: Any, moisture: Any) -> FreeStrains:
-    """Return the free strains of all layers; InputError for a change that is no number, and for a ply without coefficients."""
+    """Return the free strains of all layers; InputError for a change that is not a number, or a ply without coefficients."""
     changes = {"temperature": temperature, "gradient": gradient, "moisture": moisture}
     for name, x in changes.items():
         is_number = isinstance(x, Tensor) and x.is_floating_point() and bool(torch.isfinite(x.detach()).all())

@@ -214,12 +214,13 @@ class Laminate(nn.Module):
     def expansion(
         self, temperature: float | Tensor = 0.0, gradient: float | Tensor = 0.0, moisture: float | Tensor = 0.0
     ) -> Expansion:
-        """Free strains and curvatures, and residual stresses of the plies, under a change of temperature or moisture.
+        """Return strains, curvatures and ply stresses of the free laminate after a change of temperature or moisture.
 
-        temperature  change at the surface of the nodes [K], [] or [lanes]
-        gradient     change of temperature along the normal [K/m]
-        moisture     change of moisture, a share of the mass [-]
-        Raises InputError that names a ply without coefficients of what acts.
+        temperature  change of the temperature at z = 0, the surface on which the nodes lie [K], [] or [lanes]
+        gradient     change of the temperature per meter along the normal [K/m]
+        moisture     change of the moisture, a share of the mass [-]
+        Returns force, moment, strain, curvature and stress; force and moment are the loads that would cause the same strain and
+        curvature. Raises InputError that names a ply without a coefficient for a change that acts.
 
         >>> ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=28e-6)
         >>> strip = mbd.Laminate(ply, mbd.deg([0, 90]), thickness=0.125e-3).expansion(temperature=-120.0)

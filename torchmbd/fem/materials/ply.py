@@ -67,7 +67,7 @@ class Lamina:
 @keyword_hints
 @dataclass(frozen=True)
 class Ply(Lamina):
-    """One unidirectional layer in its own axes (1 = fiber, 2 = across, 3 = thickness); Ply.isotropic makes that of a metal.
+    """One unidirectional layer in its own axes (1 = fiber, 2 = across, 3 = thickness); for a metal use Ply.isotropic.
 
     E1, E2          moduli along and across the fiber [Pa]
     G12, G13, G23   shear moduli [Pa]
@@ -75,8 +75,10 @@ class Ply(Lamina):
     density         [kg/m3]
     strength        a Strength, for criteria of failure; None: no criterion can be evaluated
     loss            loss factor of its strain energy [-], zero or positive: damping of the modes of plates (modal_damping.py)
-    alpha1, alpha2  free strain along and across the fiber for a change of temperature [1/K], as Laminate.expansion needs them
-    beta1, beta2    free strain for a change of moisture, a share of the mass [-]; None: no such change may act
+    alpha1, alpha2  coefficients of thermal expansion along and across the fiber [1/K]
+    beta1, beta2    coefficients of moisture expansion: strain per change of the moisture, which is a share of the mass [-]
+
+    Laminate.expansion needs these coefficients: it refuses a change of temperature or moisture if they are None.
 
     A number may be mbd.variable(...): a design variable of the laminates and sections that are made of the ply, "ply.E1".
 
@@ -147,10 +149,13 @@ class Ply(Lamina):
         alpha: float | Tensor | None = None,
         beta: float | Tensor | None = None,
     ) -> Ply | IsotropicPly:
-        """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3], loss factor [-], free
-        strains for changes of temperature [1/K] and moisture [-].
+        """Make the ply of an isotropic material, such as a metal.
 
-        Each may be mbd.variable(...): a design variable, "plate.laminate.ply.E".
+        E, nu, density  modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3]
+        strength, loss  as in Ply
+        alpha, beta     coefficients of thermal expansion [1/K] and of moisture expansion [-], as in Ply
+
+        A number may be mbd.variable(...): a design variable, "plate.laminate.ply.E".
         """
         check_isotropic("Ply.isotropic", E, nu, 0.5)
         if any(is_variable(x) for x in (E, nu, alpha, beta)):
