@@ -14,6 +14,7 @@ from torchmbd.design.measures import Frequency, Mass
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import list_of
+from torchmbd.multibody.bodies.flexible import FlexibleBody
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.extra_variable import ExtraVariable
 from torchmbd.results.motion_data import OK
@@ -131,10 +132,14 @@ def evaluation_of(status: str, values: np.ndarray, gradients: np.ndarray | None,
 
 
 def masses_and_frequencies(problem: Any, count: int) -> list[Measure]:
-    """Mass and first `count` frequencies of the bodies that are designed, where the problem does not ask for them already."""
+    """Mass and first `count` frequencies of the bodies that are designed, where the problem does not ask for them already.
+
+    A shell that is held at one node has no such row: its frequencies fall with every finer mesh (`is_held_at_a_point`).
+    """
     bodies = dict.fromkeys(name.partition(".")[0] for name in problem.space.variables)
     wanted = [Mass(body) for body in bodies]
-    wanted += [Frequency(body, k + 1) for body in bodies for k in range(count)]
+    held = [body for body in bodies if not _is_held_at_a_point(problem.system, body)]
+    wanted += [Frequency(body, k + 1) for body in held for k in range(count)]
     known = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
     measures = []
     for measure in wanted:
@@ -144,3 +149,9 @@ def masses_and_frequencies(problem: Any, count: int) -> list[Measure]:
             continue
         measures += [measure] * (measure not in known)
     return measures
+
+
+def _is_held_at_a_point(system: Any, name: str) -> bool:
+    """Whether a flexible body of a system is a shell that is held at a point; False for names of others."""
+    body = next((body for body in system.bodies if body.name == name), None)
+    return isinstance(body, FlexibleBody) and body.is_held_at_a_point

@@ -33,6 +33,7 @@ from torchmbd.fem.elements import (
     merge_plates,
 )
 from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
+from torchmbd.fem.elements.links import RigidLink
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
@@ -165,6 +166,14 @@ class FlexibleBody(MatrixMethods, nn.Module):
             return range(self.modes, self.modes + 1)
         fewest = reduction.n + len(reduction.interface)
         return range(fewest, fewest + MORE + 1)
+
+    @property
+    def is_held_at_a_point(self) -> bool:
+        """Whether one node of a shell holds the body: a moment there turns it without limit as the mesh becomes finer."""
+        node, *others = self.reference
+        leads = any(isinstance(link, RigidLink) and link.leader == node for link in self.links)
+        on_beam = any(bool((part.masses().ends == node).any()) for part in self.beams.values())
+        return bool(self.plates) and not (others or leads or on_beam)
 
     @property
     def plates(self) -> dict[str, Plates]:
