@@ -62,7 +62,7 @@ def write_bdf(design: Any, deck: str | Path, path: str | Path | None = None) -> 
 
     design   result of mbd.optimize or mbd.multistart, study of mbd.load, System or body; its bodies come from mbd.read_bdf
     deck     the file that was read, with its contents of then; it keeps them
-    path     the file to write; None: beside the deck, NAME_optimized
+    path     the file to write, none of those that the deck includes; None: beside the deck, NAME_optimized
     Returns the path. Raises InputError where the deck has changed, and for a design that its cards cannot hold.
 
     >>> cards = "MAT8,1,128.+9,10.1+9,.23,5.4+9,5.4+9,5.4+9,1586.", "PCOMP,7,,,,,,,SYM", ",1,1.-3,20.,,1,1.-3,70."
@@ -78,8 +78,9 @@ def write_bdf(design: Any, deck: str | Path, path: str | Path | None = None) -> 
     """
     text = read_text("deck", deck)
     target = Path(path) if path is not None else Path(deck).with_stem(f"{Path(deck).stem}_optimized")
-    if target.resolve() == Path(deck).resolve():
-        raise InputError("path", str(path), "another file than the deck, which must keep the contents that were read")
+    if target.resolve() in text.paths:
+        allowed = "another file than the deck and what it includes, which must keep the contents that were read"
+        raise InputError("path", str(target), allowed)
     stacks = _stacks_by_card(flexible_bodies("design", design), text, str(deck))
     changes = {}
     for card in parse_cards(text.bulk_lines()):
