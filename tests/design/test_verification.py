@@ -123,7 +123,7 @@ def test_an_order_of_starts_that_changes() -> None:
 
 def test_a_shell_held_at_one_node_shows_no_frequencies_of_its_own() -> None:
     """Its first frequency falls from 233 Hz to 118 Hz as cells become half as long: no number of the body."""
-    laminate = mbd.Laminate([mbd.examples.carbon()], [torch.nn.Parameter(mbd.deg(30.0))], thickness=2e-3)
+    laminate = mbd.Laminate(mbd.examples.carbon(), torch.nn.Parameter(mbd.deg([30.0])), thickness=2e-3)
     mesh = mbd.mesh.rectangle(length=0.5, width=0.1, cells=(4, 2))
     for held, count in {"middle": 0, "left_edge": 2}.items():
         reference = None if held == "middle" else held

@@ -78,6 +78,13 @@ def test_bad_coordinates_are_named(rows, cols, message):
         Pattern(torch.tensor(rows), torch.tensor(cols), 3)
 
 
+def test_more_entries_than_an_index_counts_are_refused():
+    """Indices are int32, which would wrap in silence; the tensor is one number, expanded."""
+    column = torch.zeros(1, dtype=torch.int32).expand(2**31)
+    with pytest.raises(InputError, match=r"1 rows and 2147483648 entries; allowed: fewer than 2\^31"):
+        Pattern.unchecked(torch.zeros(2, dtype=torch.long), column, 1)
+
+
 def test_a_wrong_number_of_values_is_named(matrix):
     with pytest.raises(InputError, match="values have shape"):
         SparseMatrix(matrix.pattern, matrix.values[..., 1:])

@@ -41,7 +41,8 @@ class Pattern:
     start   where each row begins among the values, with the end, int32 [size + 1]; by symmetry each column, too
     column  of each value, int32 [nnz]
 
-    Raises InputError where coordinates are out of range, unsorted, repeated or without their mirror image.
+    Raises InputError where coordinates are out of range, unsorted, repeated or without their mirror image, and where there
+    are 2^31 of them or more.
     """
 
     def __init__(self, rows: Tensor, cols: Tensor, size: int) -> None:
@@ -61,6 +62,8 @@ class Pattern:
             raise InputError(f"entry ({int(i[k])}, {int(j[k])}) has no mirror image; store both triangles")
 
     def _set(self, start: Tensor, column: Tensor, size: int) -> None:
+        if max(len(column), size) >= 2**31:
+            raise InputError(f"a matrix has {size} rows and {len(column)} entries; allowed: fewer than 2^31 of both")
         self.start, self.column, self.size = start.to(torch.int32), column.to(torch.int32), size
 
     @classmethod

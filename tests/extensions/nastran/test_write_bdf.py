@@ -110,6 +110,9 @@ def test_included_files_become_one_deck(tmp_path):
     path = mbd.write_bdf(body, deck)
     same(body, read(path, "plate", 3))
     assert plies.read_text() == text[start:end].rstrip()
+    with pytest.raises(InputError, match=r"path is .*plies\.inc.*; allowed: another file than the deck and"):
+        mbd.write_bdf(body, deck, plies)
+    assert plies.read_text() == text[start:end].rstrip()
     plies.write_text(text[start:end])
     with pytest.raises(InputError, match=r"deck = .*contents that were read"):
         mbd.write_bdf(body, deck)

@@ -92,7 +92,7 @@ def test_an_input_file_of_quadratic_elements(tmp_path):
             middle = (places[numbers[k]] + places[numbers[(k + 1) % 4]]) / 2.0
             assert_close(places[numbers[4 + k]], middle)
     sections = re.findall(r"\*SHELL SECTION, COMPOSITE, ELSET=(\S+?)(?:, OFFSET=(\S+))?\n((?:\d.*\n)+)", text)
-    assert [float(offset or 0.0) for _, offset, _ in sections] == pytest.approx([0.4 / 4.5, 0.0])
+    assert [float(offset or 0.0) for _, offset, _ in sections] == pytest.approx([-0.4 / 4.5, 0.0])
     layers = [[row.split(", ") for row in rows.splitlines()] for _, _, rows in sections]
     assert [float(row[0]) for row in layers[0]] == [1e-3, 2e-3, 1.5e-3]
     assert [row[2] for row in layers[1]] == ["PLY_1", "PLY_2", "PLY_2", "PLY_1"]
@@ -102,11 +102,25 @@ def test_an_input_file_of_quadratic_elements(tmp_path):
     assert_close(along, np.array([np.cos(turn), np.sin(turn), 0.0, -np.sin(turn), np.cos(turn), 0.0]))
 
 
+def test_numbers_of_an_input_file_have_twenty_columns(tmp_path):
+    """CalculiX and Abaqus read no more of them. The nodes of the plate are its top face: OFFSET = 0.5 of both."""
+    thickness = [1e-3, 2e-3 / 3, 1e-3]
+    laminate = mbd.Laminate(PLY, mbd.deg([0, 90, 180]), thickness, offset=-sum(thickness) / 2)
+    mesh = mbd.mesh.rectangle(0.3, 0.1, (3, 1), "quad")
+    body = mbd.FlexibleBody.plate("plate", mesh, laminate, 2, reference="left_edge")
+    text = mbd.write_model(body, tmp_path / "plate.inp", units="in").read_text()
+    assert max(map(len, re.findall(r"[-+.\deE]*\.[-+.\deE]*", text))) <= 20
+    axes = re.findall(r"\*ORIENTATION, .*\n(.*)", text)[1].split(", ")
+    assert_close(np.array([x[:20] for x in axes], float), np.array([0.0, 1, 0, -1, 0, 0]), rtol=0, atol=1e-15)
+    assert float(re.findall(r"OFFSET=(\S+)", text)[0]) == pytest.approx(0.5)
+
+
 @pytest.mark.thorough
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
-def test_calculix_has_the_frequencies(tmp_path):
-    """A clamped plate of [20, -50, 75]: the first three within one percent."""
-    laminate = mbd.Laminate(PLY, mbd.deg([20, -50, 75]), [1e-3, 2e-3, 1.5e-3])
+@pytest.mark.parametrize(("angles", "offset"), [([20, -50, 75], 0.0), ([20, -50, 75], 1e-3), ([0, 90, 0], 0.0)])
+def test_calculix_has_the_frequencies(angles, offset, tmp_path):
+    """A clamped plate: the first three within one percent."""
+    laminate = mbd.Laminate(PLY, mbd.deg(angles), [1e-3, 2e-3, 1.5e-3], offset=offset)
     mesh = mbd.mesh.rectangle(0.3, 0.1, (40, 12), "quad")
     body = mbd.FlexibleBody.plate("plate", mesh, laminate, 3, reference="left_edge")
     mbd.write_model(body, tmp_path / "plate.inp", modes=3)

@@ -41,13 +41,14 @@ class Deck(NamedTuple):
 
 
 class DeckText(NamedTuple):
-    """The lines of a file as they are, with those of the files that it includes, and the digest of all files read.
+    """The lines of a file as they are, with those of the files that it includes, and the digest and paths of all files read.
 
     Bytes that are no UTF-8 are surrogates, which the error handler "surrogateescape" writes again.
     """
 
     lines: list[str]
     digest: str
+    paths: frozenset[Path]
 
     def bulk_lines(self) -> Lines:
         """Return the lines of the bulk data without comments, each with its index in `lines`."""
@@ -66,7 +67,7 @@ def read_deck(path: str | Path) -> Deck:
 def read_text(argument: str, path: str | Path) -> DeckText:
     """Read the lines of a file as they are; each INCLUDE gives way to the lines of the file that it names."""
     files = _Files(_existing(argument, path), "surrogateescape")
-    return DeckText([line for _, line in files.read()], files.hash.hexdigest())
+    return DeckText([line for _, line in files.read()], files.hash.hexdigest(), frozenset(files.paths))
 
 
 def _existing(argument: str, path: Any) -> Path:
@@ -140,7 +141,7 @@ class _Files:
 
     def __init__(self, first: Path, errors: str = "replace") -> None:
         self.first, self.folder, self.lines, self.files = first, first.resolve().parent, 0, 0
-        self.errors, self.hash = errors, hashlib.sha256()
+        self.errors, self.hash, self.paths = errors, hashlib.sha256(), set[Path]()
 
     def read(self) -> Iterator[tuple[str, str]]:
         """Yield (where, line) with comments and ends of lines."""
@@ -159,6 +160,7 @@ class _Files:
                 file.name, allowed=f"{LINES} lines, {_BYTES * LINES} bytes", state=f"has {file.stat().st_size} bytes"
             )
         self.hash.update(file.read_bytes())
+        self.paths.add(file)
         with file.open(encoding="utf-8-sig", errors=self.errors, newline="") as handle:
             numbered = enumerate(iter(lambda: handle.readline(WIDEST), ""), start=1)
             for number, raw in numbered:

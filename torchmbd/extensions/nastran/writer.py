@@ -62,7 +62,7 @@ def write_bdf(design: Any, deck: str | Path, path: str | Path | None = None) -> 
 
     design   result of mbd.optimize or mbd.multistart, study of mbd.load, System or body; its bodies come from mbd.read_bdf
     deck     the file that mbd.read_bdf has read, unchanged since then; write_bdf does not change it
-    path     the file to write; None: NAME_optimized in the folder of the deck
+    path     the file to write, none of those that the deck includes; None: NAME_optimized in the folder of the deck
     Cards that do not change keep every byte. Returns the path. Raises InputError if the deck has changed, or if its cards
     cannot hold the design.
 
@@ -79,8 +79,9 @@ def write_bdf(design: Any, deck: str | Path, path: str | Path | None = None) -> 
     """
     text = read_text("deck", deck)
     target = Path(path) if path is not None else Path(deck).with_stem(f"{Path(deck).stem}_optimized")
-    if target.resolve() == Path(deck).resolve():
-        raise InputError("path", str(path), "another file than the deck, which must keep the contents that were read")
+    if target.resolve() in text.paths:
+        allowed = "another file than the deck and what it includes, which must keep the contents that were read"
+        raise InputError("path", str(target), allowed)
     stacks = _stacks_by_card(flexible_bodies("design", design), text, str(deck))
     changes = {}
     for card in parse_cards(text.bulk_lines()):

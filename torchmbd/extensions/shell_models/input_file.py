@@ -4,7 +4,8 @@
     linear      S4, S3: of Abaqus
 
 Each set of cells whose laminates lie alike has a section, each ply angle in it an orientation: its axes 1 and 2. The numbers
-E3, nu13 and nu23 that these files ask for do not enter plane stress: E3 is E2, the ratios are zero.
+E3, nu13 and nu23 that these files ask for do not enter plane stress: E3 is E2, the ratios are zero. Both programs read twenty
+columns of a number: CalculiX would take 6.123233995736766e-17, the cosine of 90 degrees, for 0.61.
 Source: CalculiX CrunchiX User's Manual 2.20; Abaqus Keywords Reference Guide.
 Checked in tests/extensions/shell_models/test_write_model.py, where CalculiX is installed against its frequencies.
 """
@@ -24,6 +25,7 @@ from torchmbd.fem.materials import Ply
 _TYPES = {"quadratic": {3: "S6", 4: "S8R"}, "linear": {3: "S3", 4: "S4"}}
 ELEMENTS = tuple(_TYPES)
 _ALIKE = 9  # digits of an axis
+_COLUMNS = 20  # of a number
 
 
 def input_file(model: ShellModel, units: Units, modes: int, elements: str) -> list[str]:
@@ -32,7 +34,9 @@ def input_file(model: ShellModel, units: Units, modes: int, elements: str) -> li
     if elements == "quadratic":
         nodes, cells, reference = _with_middles(model)
     lines = ["*HEADING", f"{model.name}: {len(nodes)} nodes, {len(cells)} shells", "*NODE, NSET=NALL"]
-    lines += [f"{k}, {', '.join(map(repr, place))}" for k, place in enumerate((nodes / units.length).tolist(), start=1)]
+    lines += [
+        f"{k}, {', '.join(map(_number, place))}" for k, place in enumerate((nodes / units.length).tolist(), start=1)
+    ]
     zones = _zones(model)
     for number, (stack, members) in enumerate(zones, start=1):
         for corners in (3, 4):
@@ -76,15 +80,21 @@ def _set(model: ShellModel, stack: int, number: int) -> str:
     return f"{re.sub('[^A-Z0-9_]', '_', model.stacks[stack].name.upper())}_{number}"
 
 
+def _number(x: float) -> str:
+    """Text of a number: all of its digits where they fit into the columns, else thirteen."""
+    text = repr(x)
+    return text if len(text) <= _COLUMNS else f"{x:.12E}"
+
+
 def _material(number: int, ply: Ply, units: Units) -> list[str]:
     E1, E2, G12, G13, G23 = (float(x) / units.stress for x in (ply.E1, ply.E2, ply.G12, ply.G13, ply.G23))
-    moduli = ", ".join(map(repr, (E1, E2, E2, float(ply.nu12), 0.0, 0.0, G12, G13)))
-    lines = [f"*MATERIAL, NAME=PLY_{number}", "*ELASTIC, TYPE=ENGINEERING CONSTANTS", f"{moduli},", repr(G23)]
-    return [*lines, "*DENSITY", repr(float(ply.density) / units.density)]
+    moduli = ", ".join(map(_number, (E1, E2, E2, float(ply.nu12), 0.0, 0.0, G12, G13)))
+    lines = [f"*MATERIAL, NAME=PLY_{number}", "*ELASTIC, TYPE=ENGINEERING CONSTANTS", f"{moduli},", _number(G23)]
+    return [*lines, "*DENSITY", _number(float(ply.density) / units.density)]
 
 
 def _section(stack: Stack, number: int, elset: str, axes: np.ndarray, units: Units) -> list[str]:
-    """Orientations of the layers and the section. OFFSET is the height of the middle as a share of the thickness."""
+    """Orientations of the layers and the section. OFFSET is the height of the nodes above the middle over the thickness."""
     lines, names = [], {}
     for angle in stack.angles:
         if angle not in names:
@@ -92,11 +102,11 @@ def _section(stack: Stack, number: int, elset: str, axes: np.ndarray, units: Uni
             along = math.cos(angle) * axes[0] + math.sin(angle) * axes[1]
             across = math.cos(angle) * axes[1] - math.sin(angle) * axes[0]
             lines.append(f"*ORIENTATION, NAME={names[angle]}, SYSTEM=RECTANGULAR")
-            lines.append(", ".join(map(repr, [*along.tolist(), *across.tolist()])))
+            lines.append(", ".join(map(_number, [*along.tolist(), *across.tolist()])))
     total = sum(stack.thickness)
-    offset = (stack.bottom + total / 2.0) / total
-    option = f", OFFSET={offset!r}" if abs(offset) > 1e-12 else ""
+    offset = -(stack.bottom + total / 2.0) / total
+    option = f", OFFSET={_number(offset)}" if abs(offset) > 1e-12 else ""
     lines.append(f"*SHELL SECTION, COMPOSITE, ELSET={elset}{option}")
     for t, material, angle in zip(stack.thickness, stack.materials, stack.angles, strict=True):
-        lines.append(f"{t / units.length!r}, , PLY_{material + 1}, {names[angle]}")
+        lines.append(f"{_number(t / units.length)}, , PLY_{material + 1}, {names[angle]}")
     return lines

@@ -3,7 +3,7 @@
     K[6 R + i, 6 C + j] = sum over cells with the corners a = R, b = C of number entry_index[6 a + i, 6 b + j] of the cell
 
 All follows from the pairs of nodes, which are 36 times fewer than the entries: only pairs are sorted.
-Checked in tests/fem/elements/test_plate_matrices.py.
+Checked in tests/fem/elements/test_cell_blocks.py, tests/fem/elements/test_plate_matrices.py.
 """
 
 from __future__ import annotations

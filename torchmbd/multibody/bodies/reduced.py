@@ -2,7 +2,8 @@
 
 Modes of equal frequencies are retained together: bending of a tube in two directions is such a pair, and one mode of a pair has
 no derivative alone (fem/reduction/transport.py). So a design may retain a few more modes than requested (fem/reduction/cut.py).
-Checked in tests/multibody/bodies/test_flexible.py, tests/multibody/bodies/test_beam_body.py.
+Checked in tests/multibody/bodies/test_flexible.py, tests/multibody/bodies/test_beam_body.py,
+tests/multibody/bodies/test_indefinite_stiffness.py.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, Matrix, VibrationMo
 from torchmbd.fem.reduction.elimination import IndefiniteStiffness
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import Pattern, SparseMatrix
+
+MOST_NAMES = 8  # of nodes in a message
 
 
 def matrices(assembly: Assembly, points: MassPoints | None = None) -> tuple[SparseMatrix, Matrix]:
@@ -80,8 +83,11 @@ def _place(assembly: Assembly, row: int) -> str:
     node, direction = _freedom_name(assembly, int(free[row]))
     columns = pattern.column[int(pattern.start[row]) : int(pattern.start[row + 1])]
     beside = (free[columns] // 6).unique().tolist()
-    others = ", ".join(str(k) for k in beside if k != int(free[row]) // 6 and k < count)
-    return f"{node} moves most, {direction}; its neighbors are {others or 'none'}"
+    labels = getattr(assembly.mesh, "node_labels", ())
+    names = [labels[k] if labels else str(k) for k in beside if k != int(free[row]) // 6 and k < count]
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    others = ", ".join(names[:MOST_NAMES]) or "none"
+    return f"{node} moves most, {direction}; its neighbors are {others}{more}"
 
 
 def _freedom_name(assembly: Assembly, freedom: int) -> tuple[str, str]:
