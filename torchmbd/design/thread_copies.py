@@ -15,6 +15,7 @@ Checked in tests/design/test_thread_copies.py.
 from __future__ import annotations
 
 import io
+import itertools
 import pickle
 import sys
 import threading
@@ -107,27 +108,33 @@ def _shared(
 ) -> list[Result]:
     copies = _copies_of(problem, min(thread_count(), len(groups)) - 1, lambda copy: evaluate(copy, groups[0][:1]))
     idle, caller = list(copies), threading.get_ident()
+    warned: list[list[Any]] = [[] for _ in groups]
 
-    def evaluated(of: Problem, group: np.ndarray) -> tuple[list[Result], list[Any]]:
-        with warnings_held() as warned:
-            return evaluate(of, group), warned
+    def evaluated(of: Problem, number: int) -> list[Result]:
+        with warnings_held() as warned[number]:
+            return evaluate(of, groups[number])
 
-    def run(group: np.ndarray, context: Context) -> tuple[list[Result], list[Any]]:
+    def run(number: int, context: Context) -> list[Result]:
         if threading.get_ident() == caller:
-            return evaluated(problem, group)
+            return evaluated(problem, number)
         copy = idle.pop()  # there is one for each other thread
         try:
             with apart():
-                return context.run(evaluated, copy, group)
+                return context.run(evaluated, copy, number)
         finally:
             idle.append(copy)
 
-    with without_bars() if copies else nullcontext():
-        parts = map_threads(run, groups, [copy_context() for _ in groups], threads=1 + len(copies))
-    for _, warned in parts:
-        for text, category in warned:
+    try:
+        with without_bars() if copies else nullcontext():
+            contexts = [copy_context() for _ in groups]
+            parts = map_threads(run, range(len(groups)), contexts, threads=1 + len(copies))
+    except BaseException:
+        _known.pop(problem, None)  # Ctrl-C while the others are waited for leaves threads that still use their copies
+        raise
+    finally:
+        for text, category in itertools.chain.from_iterable(warned):
             warn(text, category)
-    return [result for results, _ in parts for result in results]
+    return [result for part in parts for result in part]
 
 
 def _copies_of(problem: Any, count: int, begin: Callable[[Any], object]) -> list[Any]:
