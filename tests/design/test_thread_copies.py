@@ -178,6 +178,19 @@ def test_copies_share_tensors_and_last_while_the_problem_is_the_same():
 
 
 @pytest.mark.thorough
+def test_a_motion_is_the_same_each_time_that_it_is_written():
+    """Copies of a problem whose motions start at its end last; of other numbers they do not."""
+    p = pendulum()
+    motion = p.motion(p.start)
+    (state, shared), (again, same) = (thread_copies._written(motion) for _ in range(2))
+    assert state == again
+    assert not all(x is y for x, y in zip(shared, same, strict=True))
+    assert thread_copies._are_same(shared, same)
+    others = [x.clone() if isinstance(x, torch.Tensor) else x for x in same]
+    assert not thread_copies._are_same(shared, others)
+
+
+@pytest.mark.thorough
 def test_an_evaluation_that_breaks_off_gives_its_warnings_and_leaves_no_copy_to_the_next(monkeypatch):
     """A thread may still use its copy after Ctrl-C."""
     p = pendulum()

@@ -22,11 +22,11 @@ import threading
 from collections.abc import Callable
 from contextlib import nullcontext
 from contextvars import Context, copy_context
-from operator import is_not
 from typing import Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from torchmbd.errors import warn, warnings_held
@@ -91,6 +91,31 @@ class _Unpickler(pickle.Unpickler):
         return super().find_class(module, name)
 
 
+def _written(x: Any) -> tuple[bytes, list[Any]]:
+    """Return an object without its tensors and arrays, pickled, and these."""
+    file = io.BytesIO()
+    pickler = _Pickler(file)
+    pickler.dump(x)
+    return file.getvalue(), pickler.shared
+
+
+def _are_same(before: list[Any], shared: list[Any]) -> bool:
+    """Return True where tensors and arrays are those of before, or constants in the same memory: a motion, at whose end others
+    start, is written with new ones each time."""
+    return len(before) == len(shared) and all(map(_is_same, before, shared))
+
+
+def _is_same(x: Any, y: Any) -> bool:
+    if x is y:
+        return True
+    if not (type(x) is type(y) is Tensor) or x.requires_grad or y.requires_grad:
+        return False
+    layouts = [(z.layout, z.dtype, z.shape) for z in (x, y)]
+    if layouts[0] != layouts[1] or x.layout is not torch.strided:
+        return False
+    return x.data_ptr() == y.data_ptr() and x.stride() == y.stride()
+
+
 def design_groups(X: np.ndarray) -> list[np.ndarray]:
     """Return the groups of designs [lanes, n], of nearly equal size."""
     return np.array_split(X, max(1, len(X) // LEAST))
@@ -144,17 +169,15 @@ def _copies_of(problem: Any, count: int, begin: Callable[[Any], object]) -> list
     """
     if count < 1:
         return []
-    file = io.BytesIO()
-    pickler = _Pickler(file)
     try:
-        pickler.dump(problem)
+        state, shared = _written(problem)
     except (pickle.PicklingError, AttributeError, TypeError, ValueError, RuntimeError):  # by the kind of object
         return []
-    state, shared, known = file.getvalue(), pickler.shared, _known.get(problem)
+    known = _known.get(problem)
     if known is None:
         _known[problem] = _Copies(b"", [], [])
         return []
-    if known.state != state or len(known.shared) != len(shared) or any(map(is_not, known.shared, shared)):
+    if known.state != state or not _are_same(known.shared, shared):
         known = _known[problem] = _Copies(state, shared, [])
     while len(known.copies) < count:
         try:
