@@ -11,6 +11,7 @@ import torch
 import torchmbd as mbd
 from torchmbd.design import thread_copies
 from torchmbd.design.thread_copies import design_groups
+from torchmbd.errors import warn
 from torchmbd.optimization import Evaluation
 
 HEIGHT = mbd.Displacement("bob", "y")
@@ -174,6 +175,38 @@ def test_copies_share_tensors_and_last_while_the_problem_is_the_same():
     assert not any(x is y for x, y in zip(p.system.modules(), copy.system.modules(), strict=True))
     evaluated(p, X, 2)
     assert thread_copies._known[p] is known
+
+
+@pytest.mark.thorough
+def test_a_motion_is_the_same_each_time_that_it_is_written():
+    """Copies of a problem whose motions start at its end last; of other numbers they do not."""
+    p = pendulum()
+    motion = p.motion(p.start)
+    (state, shared), (again, same) = (thread_copies._written(motion) for _ in range(2))
+    assert state == again
+    assert not all(x is y for x, y in zip(shared, same, strict=True))
+    assert thread_copies._are_same(shared, same)
+    others = [x.clone() if isinstance(x, torch.Tensor) else x for x in same]
+    assert not thread_copies._are_same(shared, others)
+
+
+@pytest.mark.thorough
+def test_an_evaluation_that_breaks_off_gives_its_warnings_and_leaves_no_copy_to_the_next(monkeypatch):
+    """A thread may still use its copy after Ctrl-C."""
+    p = pendulum()
+    X = designs(p)
+    for _ in range(2):
+        evaluated(p, X, 2)
+    assert thread_copies._known[p].copies
+
+    def stopped(self: mbd.Problem, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        warn("before the end")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(mbd.Problem, "_evaluate_group", stopped)
+    with pytest.warns(UserWarning, match="before the end"), pytest.raises(KeyboardInterrupt):
+        evaluated(p, X, 2)
+    assert p not in thread_copies._known
 
 
 @pytest.mark.thorough

@@ -6,6 +6,7 @@ Every operation runs on each choice of which arguments carry tangents, with diff
 from __future__ import annotations
 
 import itertools
+import threading
 
 import pytest
 import torch
@@ -106,6 +107,23 @@ def test_operation_on_pairs_kept_apart(name, carries, lanes):
         result = f(*(x if c else x.value for x, c in zip(apart, carries, strict=True)))
         assert result.shape == expected.shape
         assert_close(result.full, expected.full, rtol=1e-14, atol=1e-14)
+
+
+def test_pairs_are_kept_apart_in_one_thread_alone():
+    x, kinds = torch.ones(3, 1, 1, dtype=torch.float64), []
+
+    def another_thread() -> None:
+        kinds.append(type(Pair.of(x, x)))
+        with pair.separate_tangents():
+            pass
+
+    with pair.separate_tangents():
+        thread = threading.Thread(target=another_thread)
+        thread.start()
+        thread.join()
+        assert type(Pair.of(x, x)) is not Pair
+    assert kinds == [Pair]
+    assert type(Pair.of(x, x)) is Pair
 
 
 def test_pair_of_a_value_with_fewer_lanes():

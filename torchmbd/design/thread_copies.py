@@ -15,17 +15,18 @@ Checked in tests/design/test_thread_copies.py.
 from __future__ import annotations
 
 import io
+import itertools
 import pickle
 import sys
 import threading
 from collections.abc import Callable
 from contextlib import nullcontext
 from contextvars import Context, copy_context
-from operator import is_not
 from typing import Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from torchmbd.errors import warn, warnings_held
@@ -90,6 +91,31 @@ class _Unpickler(pickle.Unpickler):
         return super().find_class(module, name)
 
 
+def _written(x: Any) -> tuple[bytes, list[Any]]:
+    """Return an object without its tensors and arrays, pickled, and these."""
+    file = io.BytesIO()
+    pickler = _Pickler(file)
+    pickler.dump(x)
+    return file.getvalue(), pickler.shared
+
+
+def _are_same(before: list[Any], shared: list[Any]) -> bool:
+    """Return True where tensors and arrays are those of before, or constants in the same memory: a motion, at whose end others
+    start, is written with new ones each time."""
+    return len(before) == len(shared) and all(map(_is_same, before, shared))
+
+
+def _is_same(x: Any, y: Any) -> bool:
+    if x is y:
+        return True
+    if not (type(x) is type(y) is Tensor) or x.requires_grad or y.requires_grad:
+        return False
+    layouts = [(z.layout, z.dtype, z.shape) for z in (x, y)]
+    if layouts[0] != layouts[1] or x.layout is not torch.strided:
+        return False
+    return x.data_ptr() == y.data_ptr() and x.stride() == y.stride()
+
+
 def design_groups(X: np.ndarray) -> list[np.ndarray]:
     """Return the groups of designs [lanes, n], of nearly equal size."""
     return np.array_split(X, max(1, len(X) // LEAST))
@@ -107,27 +133,33 @@ def _shared(
 ) -> list[Result]:
     copies = _copies_of(problem, min(thread_count(), len(groups)) - 1, lambda copy: evaluate(copy, groups[0][:1]))
     idle, caller = list(copies), threading.get_ident()
+    warned: list[list[Any]] = [[] for _ in groups]
 
-    def evaluated(of: Problem, group: np.ndarray) -> tuple[list[Result], list[Any]]:
-        with warnings_held() as warned:
-            return evaluate(of, group), warned
+    def evaluated(of: Problem, number: int) -> list[Result]:
+        with warnings_held() as warned[number]:
+            return evaluate(of, groups[number])
 
-    def run(group: np.ndarray, context: Context) -> tuple[list[Result], list[Any]]:
+    def run(number: int, context: Context) -> list[Result]:
         if threading.get_ident() == caller:
-            return evaluated(problem, group)
+            return evaluated(problem, number)
         copy = idle.pop()  # there is one for each other thread
         try:
             with apart():
-                return context.run(evaluated, copy, group)
+                return context.run(evaluated, copy, number)
         finally:
             idle.append(copy)
 
-    with without_bars() if copies else nullcontext():
-        parts = map_threads(run, groups, [copy_context() for _ in groups], threads=1 + len(copies))
-    for _, warned in parts:
-        for text, category in warned:
+    try:
+        with without_bars() if copies else nullcontext():
+            contexts = [copy_context() for _ in groups]
+            parts = map_threads(run, range(len(groups)), contexts, threads=1 + len(copies))
+    except BaseException:
+        _known.pop(problem, None)  # Ctrl-C while the others are waited for leaves threads that still use their copies
+        raise
+    finally:
+        for text, category in itertools.chain.from_iterable(warned):
             warn(text, category)
-    return [result for results, _ in parts for result in results]
+    return [result for part in parts for result in part]
 
 
 def _copies_of(problem: Any, count: int, begin: Callable[[Any], object]) -> list[Any]:
@@ -137,17 +169,15 @@ def _copies_of(problem: Any, count: int, begin: Callable[[Any], object]) -> list
     """
     if count < 1:
         return []
-    file = io.BytesIO()
-    pickler = _Pickler(file)
     try:
-        pickler.dump(problem)
+        state, shared = _written(problem)
     except (pickle.PicklingError, AttributeError, TypeError, ValueError, RuntimeError):  # by the kind of object
         return []
-    state, shared, known = file.getvalue(), pickler.shared, _known.get(problem)
+    known = _known.get(problem)
     if known is None:
         _known[problem] = _Copies(b"", [], [])
         return []
-    if known.state != state or len(known.shared) != len(shared) or any(map(is_not, known.shared, shared)):
+    if known.state != state or not _are_same(known.shared, shared):
         known = _known[problem] = _Copies(state, shared, [])
     while len(known.copies) < count:
         try:

@@ -1,6 +1,7 @@
 """Forward mode of torch, for one thread at a time: its level is a global of the process.
 
 The package calls these functions, and not those of torch.func, so that threads can evaluate designs (module_call.apart).
+f may call exclusive functions: their lock is taken first, so that no two threads wait for each other.
 Checked in tests/math/test_forward_mode.py.
 """
 
@@ -12,12 +13,14 @@ from typing import Any
 
 import torch
 
+from torchmbd.math.module_call import alone
+
 _LOCK = threading.RLock()
 
 
 def jvp(f: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
     """Return f(*primals) and its derivative along the tangents, as torch.func.jvp does."""
-    with _LOCK:
+    with alone(), _LOCK:
         return torch.func.jvp(f, primals, tangents)
 
 
@@ -25,8 +28,8 @@ def jacfwd(f: Callable[..., Any], argnums: int = 0) -> Callable[..., Any]:
     """Return the function that torch.func.jacfwd returns, for one thread at a time."""
     jacobian = torch.func.jacfwd(f, argnums=argnums)
 
-    def alone(*args: Any) -> Any:
-        with _LOCK:
+    def of_one_thread(*args: Any) -> Any:
+        with alone(), _LOCK:
             return jacobian(*args)
 
-    return alone
+    return of_one_thread

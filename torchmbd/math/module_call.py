@@ -34,22 +34,30 @@ _LOCK = threading.RLock()
 _thread = threading.local()  # apart: whether this thread has modules of its own
 
 
+@contextmanager
+def alone() -> Iterator[None]:
+    """Keep other threads out of exclusive functions, and operators of torch in one thread; threads `apart` keep none out."""
+    if getattr(_thread, "apart", False):
+        yield
+        return
+    with _LOCK, one_thread():
+        yield
+
+
 def exclusive(f: Callable[P, R]) -> Callable[P, R]:
     """Decorator: one thread at a time runs any of the exclusive functions, with one thread of torch; others wait.
 
     torch.compile does not trace them; it compiles what is around them.
     """
 
-    def alone(*args: P.args, **kwargs: P.kwargs) -> R:
-        if getattr(_thread, "apart", False):
-            return f(*args, **kwargs)
-        with _LOCK, one_thread():
+    def run_alone(*args: P.args, **kwargs: P.kwargs) -> R:
+        with alone():
             return f(*args, **kwargs)
 
     @functools.wraps(f)
     def locked(*args: P.args, **kwargs: P.kwargs) -> R:
         # The compiler of torch takes seconds to import: where it is not loaded, nothing is traced.
-        run = torch.compiler.disable(alone) if "torch._dynamo" in sys.modules else alone
+        run = torch.compiler.disable(run_alone) if "torch._dynamo" in sys.modules else run_alone
         return run(*args, **kwargs)  # pyright: ignore[reportCallIssue]
 
     locked._torchdynamo_disable = True  # pyright: ignore[reportAttributeAccessIssue]

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import torch
@@ -44,7 +45,7 @@ class Pair:
     @staticmethod
     def of(value: Tensor, tangent: Tensor) -> Pair:
         """Join a value [component..., 1, lane] and its tangents [component..., n_b, lane]."""
-        if _separate:
+        if _separate.get():
             return _SeparatePair(value, tangent)
         lanes = max(value.shape[-1], tangent.shape[-1])
         return Pair(torch.cat([x.expand(*x.shape[:-1], lanes) for x in (value, tangent)], -2))
@@ -161,18 +162,17 @@ class _SeparatePair(Pair):
         return _SeparatePair(self._value * other.value, self._tangent * other.value + self._value * other.tangent)
 
 
-_separate = False
+_separate: ContextVar[bool] = ContextVar("separate", default=False)  # in this thread
 
 
 @contextmanager
 def separate_tangents() -> Iterator[None]:
-    """Context in which new pairs have values and tangents in two tensors."""
-    global _separate
-    _separate = True
+    """Context in which new pairs of this thread have values and tangents in two tensors."""
+    token = _separate.set(True)
     try:
         yield
     finally:
-        _separate = False
+        _separate.reset(token)
 
 
 def _zero_tangents(x: Tensor | float, like: Tensor) -> Tensor:
@@ -224,7 +224,7 @@ def cat(parts: Sequence[Any], dim: int = 0) -> Any:
     pairs = [x for x in parts if isinstance(x, Pair)]
     if not pairs:
         return torch.cat(_same_lanes(list(parts)), dim)
-    if _separate:
+    if _separate.get():
         like = pairs[0].tangent
         parts = [x if isinstance(x, Pair) else _SeparatePair(x, _no_tangents(x, like)) for x in parts]
         values, tangents = [x.value for x in parts], [x.tangent for x in parts]

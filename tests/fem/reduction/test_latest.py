@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict
+from typing import Any
+
 import pytest
 import torch
 
@@ -41,6 +45,24 @@ def test_several_lanes_and_older_bodies_are_not_kept():
     for _ in range(2):
         latest("lanes", (ONE.expand(2, 3),), lambda: calls.append(1))
     assert len(calls) == BODIES + 4
+
+
+def test_threads_with_one_key_take_nothing_from_each_other():
+    latest, others = Latest[int](), []
+
+    class Interrupted(OrderedDict[Any, Any]):
+        """Another thread asks where a result has just been put in."""
+
+        def __setitem__(self, key: Any, x: Any) -> None:
+            super().__setitem__(key, x)
+            if not others:
+                others.append(threading.Thread(target=latest, args=("arm", (2.0 * ONE,), lambda: 2)))
+                others[0].start()
+                others[0].join(0.05)
+
+    latest._kept = Interrupted()
+    assert latest("arm", (ONE,), lambda: 1) == 1
+    others[0].join()
 
 
 @pytest.mark.thorough

@@ -30,10 +30,11 @@ class Latest(Generic[Result]):
         """Return what is kept for a key and equal numbers [lane, ...], else `result()`; several lanes are not kept."""
         if any(len(x) > 1 for x in numbers):
             return result()
-        before, kept = self._kept.get(key, ((), None))
-        if kept is not None and all(map(torch.equal, before, numbers)):
-            return kept
-        self._kept.pop(key, None)
+        with self._lock:
+            before, kept = self._kept.get(key, ((), None))
+            if kept is not None and all(map(torch.equal, before, numbers)):
+                return kept
+            self._kept.pop(key, None)
         del kept  # memory for what is made
         made = result()
         with self._lock:

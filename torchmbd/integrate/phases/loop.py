@@ -53,7 +53,7 @@ _SAME = 1e-9  # of a regular step: times that are equal
 
 
 def integrate(multiphase: MultiphaseRun) -> Statistics:
-    """Integrate all lanes through all phases, into the record of the run; statistics as of `Integrator.integrate`.
+    """Integrate all lanes through all phases, into the record of the run; return the statistics of their steps.
 
     Those of steppers are the largest of all phases. Alternations are measured in the second half of each phase.
     """
