@@ -13,6 +13,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.extensions.nastran.bdf_models import model
 from torchmbd.errors import InputError
+from torchmbd.extensions.nastran.cards import read_cards
 
 ANGLES = mbd.deg([0.1234567890123, -61.2345678901234, 133.3])
 FACTORS = torch.tensor([1.1, 1.0, 1.0 / 3.0], dtype=torch.float64)
@@ -119,9 +120,9 @@ def test_included_files_become_one_deck(tmp_path):
 
 
 def test_pshell_and_nsm_follow_the_thickness(tmp_path):
-    """A thickness of a PSHELL is written, NSM as the body has it, with a warning."""
+    """A thickness of a PSHELL is written, NSM as the body has it, with a warning; heights of stresses follow."""
     deck = tmp_path / "model.bdf"
-    shell = "PSHELL,7,2,3.-3,2,,,,.5\nMAT1,2,7.+10,,.3,2700."
+    shell = "PSHELL,7,2,3.-3,2,,,,.5\n,1.5-3,-1.5-3\nMAT1,2,7.+10,,.3,2700."
     text = deck_text({"PCOMP,7,,,,TSAI": "PCOMP,8,,.5,,TSAI"}).replace("GRID,1,", f"{shell}\nGRID,1,")
     deck.write_text(text.replace("CQUAD4,2,7", "CQUAD4,2,8"))
     body = read(deck, "plate", 3)
@@ -131,6 +132,8 @@ def test_pshell_and_nsm_follow_the_thickness(tmp_path):
     with pytest.warns(UserWarning, match="NSM is written as"):
         path = mbd.write_bdf(body, deck)
     same(body, read(path, "plate", 3))
+    [card] = [card for card in read_cards(path) if card.name == "PSHELL"]
+    assert (card.real(9, "Z1"), card.real(10, "Z2")) == pytest.approx((0.7 * 1.5e-3, -0.7 * 1.5e-3))
     with torch.no_grad():
         body.pshell_7.angles.fill_(0.1)
     with (

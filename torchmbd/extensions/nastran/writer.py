@@ -148,9 +148,10 @@ def _fields(card: Card, stack: _Stack) -> list[str]:
     """Data fields of the card with the numbers of a laminate; those that did not change are as they were."""
     fields, laminate = list(card.fields), stack.laminate
     angles = laminate.angles.detach()
+    several = max((x.shape[0] for x in (angles, laminate.thickness) if x.dim() > 1), default=0)
+    if several:
+        raise InputError(f"{stack.name} has {several} designs at once: must be one. Try: a single design")
     thickness = laminate.thickness.detach().broadcast_to(angles.shape)
-    if angles.dim() > 1:
-        raise InputError(f"{stack.name} has {angles.shape[0]} designs at once: must be one. Try: a single design")
     if card.name == "PSHELL":
         if bool((angles != 0.0).any()):
             turn = math.degrees(float(angles[0]))
@@ -180,7 +181,7 @@ def _filled(values: list[float]) -> list[float]:
 
 
 def _follow_thickness(fields: list[str], card: Card, stack: _Stack, before: Tensor, after: Tensor) -> None:
-    """Change Z0 and NSM of a card as the body has them where its thickness changes."""
+    """Change Z0, NSM, Z1 and Z2 of a card as the body has them where its thickness changes."""
     of_shell = card.name == "PSHELL"
     ratio = float(after.sum() / before.sum())
     place = 8 if of_shell else 3
@@ -190,6 +191,9 @@ def _follow_thickness(fields: list[str], card: Card, stack: _Stack, before: Tens
             f"{stack.name} spreads it over the thickness, which changed by the factor {ratio:g}"
         )
         _put(fields, place, number_text(ratio * extra))
+    for place in (9, 10):  # Z1, Z2: heights at which stresses are recovered
+        if of_shell and card.text(place):
+            _put(fields, place, number_text(ratio * card.real(place, "Z1" if place == 9 else "Z2")))
     if not of_shell and card.text(2):
         sides = 2.0 if card.text(8).upper() == "SYM" else 1.0
         old, new = (sides * float(x.sum()) for x in (before, after))
