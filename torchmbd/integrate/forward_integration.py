@@ -23,7 +23,7 @@ from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.phase import Phase
-from torchmbd.integrate.phases.segment import is_single, segments_of
+from torchmbd.integrate.phases.segment import actions_of, is_single, segments_of
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import System
@@ -64,8 +64,8 @@ class ForwardIntegration(IntegratedMotion):
         dynamics = whole.dynamics(designs, tangents=self.variables)
         system = self.system.with_modes(dynamics.topology.mode_counts)
         self.system, segments = segments_of(system, self.phases, self.duration)
-        self.actions = tuple(segment.topology.actions for segment in segments)
         dynamics = replace(self.system.equations(), data=dynamics.data)
+        self.actions = actions_of(segments, dynamics.topology)
         work = self.integrator.work if is_single(segments, dynamics.topology) else ()
         dynamics = with_backend(dynamics, self.backend, work)
         events = designs if any(segment.ends_by_event for segment in segments) else {}

@@ -45,7 +45,7 @@ from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.phase import ONE_PHASE, Phase
-from torchmbd.integrate.phases.segment import DURATION, is_single, segments_of, times_of
+from torchmbd.integrate.phases.segment import DURATION, actions_of, is_single, segments_of, times_of
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 from torchmbd.integrate.repetition import Repetition
 from torchmbd.integrate.reverse_integration import ReverseIntegration
@@ -311,7 +311,7 @@ class Simulation(Summary):
         if not torch.is_grad_enabled():
             shapes = {}  # made on demand: they take memory
         motion = trajectory_of(system, integration, outputs, data, batch, names, shapes)
-        motion.actions = tuple(segment.topology.actions for segment in segments)
+        motion.actions = actions_of(segments, dynamics.topology)
         return at_moving_times(motion, duration) if isinstance(duration, Tensor) else motion
 
 

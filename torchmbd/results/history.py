@@ -190,7 +190,12 @@ class Record:
         return History(q, v, vd, lam, expansion)
 
 
+def longest_run(every: int) -> int:
+    """The most steps of one run: SEGMENT or less, but at least `every`, of which it is a multiple."""
+    return every * max(SEGMENT // every, 1)
+
+
 def segments(steps: int, every: int = 1) -> list[range]:
-    """All steps, in runs of SEGMENT or less, but of at least `every`, of which each is a multiple."""
-    most = every * max(SEGMENT // every, 1)
+    """All steps, in runs of `longest_run(every)` and a last one that may be shorter."""
+    most = longest_run(every)
     return [range(i, min(i + most, steps)) for i in range(0, steps, most)]

@@ -45,7 +45,7 @@ from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.progress import announce
-from torchmbd.results.history import SEGMENT, History
+from torchmbd.results.history import History, longest_run
 from torchmbd.results.state import State
 
 _BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the phase: those after it are lost
@@ -142,10 +142,9 @@ class _PhaseLoop:
         stops, every = [last, *(k for k in self.first.tolist() if i < k)], self.multiphase.every
         if self.ends is not None:
             stops.append(max(i + 1, int((~self._past_end(torch.arange(len(self.times))))[:, self.alive].any(1).sum())))
-        most = SEGMENT if self.event is None else _BETWEEN_EVENTS
+        most = longest_run(every) if self.event is None else every * max(_BETWEEN_EVENTS // every, 1)
         if every == 1:
             return min([i + most, *stops])
-        most = every * max(most // every, 1)
         return min([i + most - i % most, *stops])
 
     def _arrived(self, i: int, lanes: list[int], x: State) -> Tensor:

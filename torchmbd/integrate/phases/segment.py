@@ -98,6 +98,11 @@ def is_single(segments: Sequence[Segment], whole: Topology) -> bool:
     return len(segments) == 1 and segments[0].topology is whole
 
 
+def actions_of(segments: Sequence[Segment], whole: Topology) -> tuple[tuple[Action, ...], ...]:
+    """Applied forces of each segment; none where a single one has those of the whole system."""
+    return () if is_single(segments, whole) else tuple(segment.topology.actions for segment in segments)
+
+
 def segments_of(system: System, phases: Sequence[Phase], duration: float) -> tuple[System, list[Segment]]:
     """The system with all joints and locks, and its segments; InputError names what a phase cannot have."""
     if not isinstance(phases, (list, tuple)) or not phases or not all(isinstance(phase, Phase) for phase in phases):
