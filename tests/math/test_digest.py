@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -240,3 +241,20 @@ def test_a_switch_that_no_module_of_torchmbd_reads_has_no_influence():
         before = digest(module)
         module.eval()
         assert (digest(module) == before) is same
+
+
+Law = Callable[[float], complex]
+LAWS: list[Law] = []
+
+
+def annotated(law: Law, x: list[Law | None]) -> Law | None:
+    kinds = (list[int], int | float, Law)
+    return law if kinds and x is LAWS else None
+
+
+def test_types_with_arguments_have_digests():
+    """In annotations, where they compute nothing, and as values."""
+    assert digest(annotated) == digest(annotated)
+    assert digest(Law) != digest(Callable[[float], float])
+    assert digest(list[int]) != digest(list[float])
+    assert digest(int | float) == digest(int | float)

@@ -20,12 +20,12 @@ import enum
 import hashlib
 import inspect
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import cache, cached_property, lru_cache, partial
 from pathlib import Path, PurePath
 from types import BuiltinFunctionType, FunctionType, MethodDescriptorType, MethodType, ModuleType
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import numpy as np
 import torch
@@ -103,6 +103,8 @@ class _Walk:
             self.add(("property", x.func))
         elif isinstance(x, partial):
             self.add(("partial", x.func, x.args, x.keywords))
+        elif get_origin(x) is not None:  # a type with arguments, such as list[int]
+            self.add(("alias", get_origin(x), get_args(x)))
         elif isinstance(x, Mapping):
             self.add(type(x))
             self._add_items(x)
@@ -180,11 +182,7 @@ class _Walk:
             _warn_unseen(f"the text of the function {x.__qualname__}", "a function in a file")
             return
         self.write(ast.unparse(definition))
-        nodes = list(ast.walk(definition))
-        names = {y.id for y in nodes if isinstance(y, ast.Name)} | {
-            y.attr for y in nodes if isinstance(y, ast.Attribute)
-        }
-        self._add_named(x.__globals__, sorted(names), set())
+        self._add_named(x.__globals__, sorted(set(_names(definition))), set())
 
     def _add_named(self, space: Mapping[str, Any], names: Sequence[str], seen: set[int]) -> None:
         """Values of the names in a function: globals of its module, and attributes of modules of the user among them."""
@@ -246,6 +244,17 @@ def _definition(x: FunctionType) -> ast.FunctionDef | ast.AsyncFunctionDef | ast
         nodes = [y for y in nodes if all(_is_within(place, y.body) for place in places)]
         nodes.sort(key=lambda y: len(ast.unparse(y)))
     return nodes[0] if nodes else None
+
+
+def _names(node: ast.AST) -> Iterator[str]:
+    """Names and attributes in a definition, without those in annotations, which compute nothing."""
+    if isinstance(node, (ast.Name, ast.Attribute)):
+        yield node.id if isinstance(node, ast.Name) else node.attr
+    for field, value in ast.iter_fields(node):
+        if field not in ("annotation", "returns"):
+            for part in value if isinstance(value, list) else [value]:
+                if isinstance(part, ast.AST):
+                    yield from _names(part)
 
 
 def _is_within(place: tuple[Any, ...], node: ast.expr) -> bool:
