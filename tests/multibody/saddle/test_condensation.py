@@ -171,7 +171,7 @@ def test_multipliers_of_a_motion_that_failed():
     arm, bob = system.bodies
 
     def pull(t: torch.Tensor) -> torch.Tensor:
-        return torch.sqrt(0.055 - t) * torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+        return torch.sqrt(0.0555 - t) * torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
 
     motion = mbd.simulate(mbd.System([arm, bob], system.joints, [mbd.Force(bob.at(), pull)]), 0.1, steps=10)
     assert "not finite from t = 0.06 s on" in motion.status[0]
