@@ -125,7 +125,7 @@ def test_three_threads_share_three_groups(used):
 
 @pytest.mark.thorough
 def test_copies_have_the_present_numbers():
-    """Of a parameter that is no design variable, changed in place and replaced between two evaluations."""
+    """A parameter that is not a design variable changes in place, and another tensor takes its place, between evaluations."""
     p = pendulum()
     X = designs(p)
     before = evaluated(p, X, 2)

@@ -152,6 +152,6 @@ def masses_and_frequencies(problem: Any, count: int) -> list[Measure]:
 
 
 def _is_held_at_a_point(system: Any, name: str) -> bool:
-    """Whether a flexible body of a system is a shell that is held at a point; False for names of others."""
+    """True if the body of this name is a shell that one node holds."""
     body = next((body for body in system.bodies if body.name == name), None)
     return isinstance(body, FlexibleBody) and body.is_held_at_a_point

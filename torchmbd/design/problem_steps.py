@@ -5,12 +5,15 @@
 e of n steps is estimated by a motion of half of them, whose error is four times as large; where that is resolved, its error
 by up to FAR times its own steps is known as well, and needs no motion. The first n is that of the motion
 (integrate/step_count.py), by the error of its largest vibrations; a response may ask for more: a residual vibration, a
-difference of large numbers. This first motion is compared with one of 2.3 times longer steps; only where the errors of these
-are above the tolerance, it is compared with one of shorter steps. Errors are measured by the size of a response
-(`Measure.size`), which no constant part changes: a constraint by the larger of its size and its distance from the limit; the
-objective of a design that a search has found by the larger of its size and a tenth of that of the start. Where no number of
-steps up to MOST times the first, or up to MOST_STEPS, reaches the tolerance (impacts, stiff contacts, chaos), the steps with
-the least error are taken, and a warning says error and steps.
+difference of large numbers. This first motion is compared with one of 2.3 times longer steps. If the errors of the longer steps
+are above the tolerance, a motion of shorter steps follows.
+
+The error of a response is divided by its size (`Measure.size`), which a constant part does not change. A constraint has the
+larger of its size and its distance from the limit. The objective of a design that a search has found has the larger of its
+size there and a tenth of its size at the start.
+
+Impacts, stiff contacts and chaos may keep the error above the tolerance with MOST times the first steps, or with MOST_STEPS.
+Then the steps with the least error are taken, and a warning says error and steps.
 
 Errors of motions are kept for the last KEPT problems of a process by the digest of their settings (math/digest.py), so that
 two equal problems choose once. Another number anywhere in the system, the motion or the responses is another digest. A problem
@@ -266,7 +269,7 @@ def _digest_of(problem: Any) -> str | None:
         warnings.simplefilter("error")
         try:
             return digest(type(problem), *problem.settings())
-        except Exception:  # of whatever the problem holds
+        except (Warning, TypeError, AttributeError, ValueError, RuntimeError):  # by the kind of object
             return None
 
 

@@ -8,9 +8,9 @@ peaks of the cubic are half a percent off, those of the quintic a ten thousandth
 Peaks are located without derivatives, and the curve is differentiated at their fixed positions: at an inner maximum the
 derivative by time is zero (envelope theorem). The gradient at the largest sample would be 2 % off at 500 samples.
 
-Where a motion passes from phase to phase (integrate/phases/phase.py) a history may jump, at a time that depends on the design:
-one piece ends there and another begins, with two values at one time; nothing looks through the interval of length zero
-between them. The curve has the later value there, a window that begins at a switch the later and one that ends there the
+A history may jump at a switch between two phases of a motion (integrate/phases/phase.py), at a time that depends on the design.
+One piece ends there and another begins, with two values at one time. Responses leave out the interval of length zero between
+them. The curve has the later value there, a window that begins at a switch the later and one that ends there the
 earlier one. Knots that move carry total derivatives, so all derivatives contain the effect of the moving jump.
 
 Where a history bends within an interval (curve.py), the cubic has other slopes before a knot than after it (slopes.py).

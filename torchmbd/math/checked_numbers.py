@@ -31,7 +31,7 @@ def differentiable_reals(name: str, value: Any, allowed: str) -> Tensor:
     try:
         return _joined(value)
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(name, value, f"{allowed}") from error
+        raise InputError(name, value, allowed) from error
 
 
 def _joined(value: Any) -> Tensor:
@@ -48,7 +48,7 @@ def scalar(name: str, value: Any, allowed: str = "a finite number", unit: str = 
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor of several numbers
         x = math.nan
     if not math.isfinite(x):
-        raise InputError(name, value, f"{allowed}", shown=f"{value!r}{unit}")
+        raise InputError(name, value, allowed, shown=f"{value!r}{unit}")
     return x
 
 
@@ -67,7 +67,7 @@ def positive(name: str, value: Any, unit: str) -> float:
     allowed = "a positive and finite number"
     x = scalar(name, value, allowed, f" {unit}")
     if not x > 0.0:
-        raise InputError(name, value, f"{allowed}", shown=f"{value!r} {unit}")
+        raise InputError(name, value, allowed, shown=f"{value!r} {unit}")
     return x
 
 
@@ -76,7 +76,7 @@ def nonnegative(name: str, value: Any, unit: str) -> float:
     allowed = "zero, or a positive and finite number"
     x = scalar(name, value, allowed, f" {unit}")
     if x < 0.0:
-        raise InputError(name, value, f"{allowed}", shown=f"{value!r} {unit}")
+        raise InputError(name, value, allowed, shown=f"{value!r} {unit}")
     return x
 
 
@@ -95,7 +95,7 @@ def list_of(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str)
         raise InputError(name, value, f"a list of {allowed}")
     for x in value:
         if not isinstance(x, kinds):
-            raise InputError(name, allowed=f"{allowed}", state=f"has {x!r}")
+            raise InputError(name, allowed=allowed, state=f"has {x!r}")
     return list(value)
 
 
@@ -116,7 +116,7 @@ def _read(name: str, value: ArrayLike | Tensor, allowed: str) -> Tensor:
     try:
         x = (value.detach() if isinstance(value, Tensor) else torch.from_numpy(np.array(value))).clone()
     except (TypeError, ValueError) as error:
-        raise InputError(name, value, f"{allowed}") from error
+        raise InputError(name, value, allowed) from error
     if x.is_complex():
         raise InputError(name, value, f"{allowed}, real ones")
     return x

@@ -72,11 +72,8 @@ class Products(ABC):
         """The supernodes of A on a pattern, after an order of its rows [N]."""
 
     @abstractmethod
-    def factorize_supernodes(self, nodes: Supernodes, pattern: Pattern, A: Tensor) -> tuple[Tensor, float, int]:
-        """The values of L for A [nnz], the smallest pivot relative to its diagonal entry, and its row.
-
-        The pivot is -1 where the matrix is not definite.
-        """
+    def factorize_supernodes(self, nodes: Supernodes, pattern: Pattern, A: Tensor) -> tuple[Tensor, float]:
+        """The values of L for A [nnz], and the smallest pivot relative to its diagonal entry; -1 if A is not definite."""
 
     @abstractmethod
     def solve_supernodes(self, nodes: Supernodes, L: Tensor, X: Tensor) -> Tensor:

@@ -115,7 +115,7 @@ class RobustProblem:
 
     @property
     def chooses_steps(self) -> bool:
-        """Whether the number of steps was not given, so that the problem chooses it."""
+        """True if the problem chooses the number of steps, because none was given."""
         return hasattr(type(self.problem), "at_steps") and self.problem.chooses_steps  # type: ignore[attr-defined]
 
     @property

@@ -238,9 +238,7 @@ def _four(name: str, values: Sequence | Tensor, field: FiberField | None) -> nn.
     shape = (4,) if field is None else (field.controls, 4)
     if x.shape != shape:
         words = "[4]" if field is None else f"[{field.controls} controls, 4]"
-        raise InputError(
-            name, x, f"{words}", noun=f"{name} of LaminationParameters", state=f"has shape {tuple(x.shape)}"
-        )
+        raise InputError(name, x, words, noun=f"{name} of LaminationParameters", state=f"has shape {tuple(x.shape)}")
     return x
 
 

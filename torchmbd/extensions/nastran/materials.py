@@ -81,7 +81,7 @@ def density_of(card: Card, position: int, units: Units, weight_to_mass: float) -
     density = card.real(position, "RHO", 0.0)
     if density <= 0.0:
         allowed = "a density > 0, a body needs mass (read_bdf takes one, `density`, for all that lack it)"
-        raise InputError((str(card), "RHO"), card.text(position), f"{allowed}", noun=f"{card}: RHO")
+        raise InputError((str(card), "RHO"), card.text(position), allowed, noun=f"{card}: RHO")
     return density * units.density * weight_to_mass
 
 

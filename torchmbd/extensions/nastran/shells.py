@@ -133,7 +133,7 @@ def ply_places(card: Card) -> list[int]:
 
 
 def is_centered(card: Card, total: float) -> bool:
-    """Whether the middle of a PCOMP of some thickness lies in the plane of the grids; Z0 is written with a few digits."""
+    """True if the middle of a PCOMP of `total` thickness lies in the plane of the grids, to the few digits that Z0 has."""
     return abs(card.real(2, "Z0", -total / 2.0) + total / 2.0) <= 1e-4 * total
 
 

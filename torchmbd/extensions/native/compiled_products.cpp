@@ -667,10 +667,10 @@ struct Front {
 }  // namespace
 
 // Values of L [lane][entries] for A [lane][nnz], whose pattern has both triangles: multifrontal, children before their parents.
-// pivot [lane]: the smallest relative to its diagonal entry, -1 where one is not positive; weakest [lane]: its row of A.
+// pivot [lane]: the smallest relative to its diagonal entry, -1 where one is not positive.
 extern "C" void factorize_supernodes(long begin, long end, long N, long supernodes, const int* indptr, const int* indices,
                                      const long* first, const long* below_start, const long* below, const long* start,
-                                     const long* order, const double* A, double* L, double* pivot, long* weakest) {
+                                     const long* order, const double* A, double* L, double* pivot) {
   const std::vector<int> inverse = inverse_of(order, N), node = node_of_column(first, supernodes, N);
   std::vector<int> place(N);
   long largest = 0;
@@ -685,7 +685,7 @@ extern "C" void factorize_supernodes(long begin, long end, long N, long supernod
     double* to = L + lane * start[N];
     Children children(supernodes);
     waiting.clear();
-    pivot[lane] = INFINITY, weakest[lane] = -1;
+    pivot[lane] = INFINITY;
     for (long s = 0; s < supernodes && pivot[lane] >= 0.0; s++) {
       const long width = first[s + 1] - first[s], beneath = below_start[s + 1] - below_start[s], r = width + beneath;
       const Front front{numbers.data(), r, padded(r) + 8};
@@ -714,9 +714,8 @@ extern "C" void factorize_supernodes(long begin, long end, long N, long supernod
       }
       waiting.resize(from);
       const long weak = front.factorize(width, pivots.data());
-      for (long t = 0; t < (weak < 0 ? width : weak); t++)
-        if (pivots[t] < pivot[lane] * std::abs(diagonal[t])) pivot[lane] = pivots[t] / std::abs(diagonal[t]), weakest[lane] = order[first[s] + t];
-      if (weak >= 0) pivot[lane] = -1.0, weakest[lane] = order[first[s] + weak];
+      for (long t = 0; t < (weak < 0 ? width : weak); t++) pivot[lane] = std::min(pivot[lane], pivots[t] / std::abs(diagonal[t]));
+      if (weak >= 0) pivot[lane] = -1.0;
       for (long t = 0; t < width; t++) std::memcpy(to + start[first[s] + t], front.at + t * front.P + t, (r - t) * sizeof(double));
       if (!beneath) continue;
       waiting_from[s] = waiting.size();

@@ -93,13 +93,12 @@ class CompiledProducts(Products):
         start = torch.nn.functional.pad(heights.cumsum(0), (1, 0))
         return Supernodes(first, below_start, below, start, order)
 
-    def factorize_supernodes(self, nodes: Supernodes, pattern: Pattern, A: Tensor) -> tuple[Tensor, float, int]:
-        L, pivot = A.new_empty(int(nodes.start[-1])), A.new_empty(1)
-        weakest, A = torch.empty(1, dtype=torch.long), A.contiguous()
+    def factorize_supernodes(self, nodes: Supernodes, pattern: Pattern, A: Tensor) -> tuple[Tensor, float]:
+        L, pivot, A = A.new_empty(int(nodes.start[-1])), A.new_empty(1), A.contiguous()
         numbers = map(c_long, (pattern.size, len(nodes.first) - 1))
-        arrays = _pointers(*nodes, A, L, pivot, weakest)
+        arrays = _pointers(*nodes, A, L, pivot)
         self._run("factorize_supernodes", 1, len(L), *numbers, *_indices(pattern), *arrays)
-        return L, pivot.item(), int(weakest)
+        return L, pivot.item()
 
     def solve_supernodes(self, nodes: Supernodes, L: Tensor, X: Tensor) -> Tensor:
         X = X.contiguous()

@@ -226,5 +226,5 @@ def numbers(where: str, text: str, count: int | None = None) -> list[float]:
     size = max(len(words), 1) if count is None else count
     if len(words) != size or len(values) != size or not all(map(math.isfinite, values)):
         many = "numbers" if count is None else f"{count} number{'s' if count > 1 else ''}"
-        raise InputError(str(where), text, f"{many}")
+        raise InputError(str(where), text, many)
     return values

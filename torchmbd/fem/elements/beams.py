@@ -60,7 +60,7 @@ class Beams:
             )
         if turn.shape not in ((), (count,), (count, 2)):
             allowed = f"one angle, one for each element [{count}], or two, at its start and end [{count}, 2]"
-            raise InputError("twist", turn, f"{allowed}", state=f"has shape {tuple(turn.shape)}")
+            raise InputError("twist", turn, allowed, state=f"has shape {tuple(turn.shape)}")
         members = slice(None) if elements is None else torch.as_tensor(elements)
         at = (at[None] if at.ndim == 1 else at[members])[:, None]  # [m, 1, 2]; m is 1 where all elements have the same
         turn = turn[None, None] if turn.ndim == 0 else turn[members].reshape(-1, turn[0].numel())  # [m, 1 or 2]

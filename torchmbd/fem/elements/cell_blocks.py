@@ -82,5 +82,5 @@ class CellBlocks:
 
 
 def _starts(counts: Tensor) -> Tensor:
-    """Where groups of so many begin, with the end."""
+    """Return the first place of each group, of `counts` [groups] places, and the end of the last [groups + 1]."""
     return torch.nn.functional.pad(counts.cumsum(0), (1, 0))

@@ -125,7 +125,7 @@ class ExactBeam(nn.Module):
             raise InputError(
                 (name, "twist"),
                 self.twist,
-                f"{allowed}",
+                allowed,
                 noun=f"twist of {name!r}",
                 state=f"has shape {tuple(self.twist.shape)}",
             )
@@ -135,7 +135,7 @@ class ExactBeam(nn.Module):
             raise InputError(
                 (name, "offset"),
                 self.offset,
-                f"{allowed}",
+                allowed,
                 noun=f"offset of {name!r}",
                 state=f"has shape {tuple(self.offset.shape)}",
             )

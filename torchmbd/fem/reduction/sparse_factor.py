@@ -91,12 +91,10 @@ class SparseLayout:
 class Triangle(Protocol):
     """A factorization of one matrix.
 
-    pivot    the smallest pivot relative to the size of the diagonal entry; <= 0 where the matrix is not positive definite
-    weakest  the row of this pivot; -1 where the library does not say which
+    pivot  the smallest pivot relative to the size of the diagonal entry; <= 0 where the matrix is not positive definite
     """
 
     pivot: float
-    weakest: int
 
     def __init__(self, layout: SparseLayout, values: Array) -> None: ...
 
@@ -116,9 +114,7 @@ class Supernodal(Triangle):
         code = _compiled()
         assert code is not None
         self._code, self._nodes = code, layout.supernodes
-        self._L, self.pivot, self.weakest = code.factorize_supernodes(
-            self._nodes, layout.pattern, torch.from_numpy(values)
-        )
+        self._L, self.pivot = code.factorize_supernodes(self._nodes, layout.pattern, torch.from_numpy(values))
 
     def solve(self, X: Array) -> Array:
         return self._code.solve_supernodes(self._nodes, self._L, torch.from_numpy(X)).numpy()
@@ -142,8 +138,6 @@ class Supernodal(Triangle):
 
 class Cholmod(Triangle):
     """L L' by CHOLMOD, which solves for one column after another."""
-
-    weakest = -1
 
     def __init__(self, layout: SparseLayout, values: Array) -> None:
         from cvxopt import cholmod, matrix  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
@@ -178,8 +172,6 @@ class Cholmod(Triangle):
 
 class SuperLU(Triangle):
     """L D L' by SuperLU."""
-
-    weakest = -1
 
     def __init__(self, layout: SparseLayout, values: Array) -> None:
         pattern = layout.pattern

@@ -169,7 +169,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
     @property
     def is_held_at_a_point(self) -> bool:
-        """Whether one node of a shell holds the body: a moment there turns it without limit as the mesh becomes finer."""
+        """True if one node of a shell holds the body: it becomes softer with every finer mesh, without limit."""
         node, *others = self.reference
         leads = any(isinstance(link, RigidLink) and link.leader == node for link in self.links)
         on_beam = any(bool((part.masses().ends == node).any()) for part in self.beams.values())

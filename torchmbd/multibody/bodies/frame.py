@@ -154,10 +154,10 @@ def frame_at(
 
 def _three_numbers(name: str, x: Any, allowed: str) -> Tensor:
     if not isinstance(x, (tuple, list, Tensor)) or len(x) != 3:
-        raise InputError(name, x, f"{allowed}")
+        raise InputError(name, x, allowed)
     result = read_numbers(name, [number(y) for y in x], allowed)
     if result.shape != (3,) or not bool(torch.isfinite(result).all()):
-        raise InputError(name, x, f"{allowed}")
+        raise InputError(name, x, allowed)
     return result
 
 
@@ -174,7 +174,7 @@ def read_numbers(name: str, x: Any, allowed: str) -> Tensor:
     try:
         return torch.as_tensor(x, dtype=torch.float64).detach().clone()
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(name, x, f"{allowed}") from error
+        raise InputError(name, x, allowed) from error
 
 
 def vector(name: str, x: Sequence[float] | Tensor) -> Tensor:
@@ -266,7 +266,7 @@ def set_modal_start(body: Any, *start_values: Sequence[float] | Tensor | None) -
         )
         values = read_numbers(name, plain, allowed)
         if values.dim() != 1 or len(values) not in counts or not bool(torch.isfinite(values).all()):
-            raise InputError(name, x, f"{allowed}")
+            raise InputError(name, x, allowed)
         register(body, key, parameter(name, x) if isinstance(x, nn.Parameter) else values)
     body.modal_start_given = any(x is not None for x in start_values)
 

@@ -49,7 +49,7 @@ class InterpolationConstraint:
             raise InputError("weights", weights, allowed)
         numbers = [1.0] * len(nodes) if weights is None else [scalar("weights", w, allowed) for w in weights]
         if len(numbers) != len(nodes) or not nodes or not all(0.0 < w < float("inf") for w in numbers):
-            raise InputError("weights", weights, f"{allowed}", state=f"is {weights!r} for {len(nodes)} nodes")
+            raise InputError("weights", weights, allowed, state=f"is {weights!r} for {len(nodes)} nodes")
         return cls(tuple(nodes), tuple(w / sum(numbers) for w in numbers))
 
     def center(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " 3"]:

@@ -143,7 +143,7 @@ class MatrixStructure:
                 raise InputError(
                     (self.name, "interface"),
                     interface,
-                    f"{allowed}",
+                    allowed,
                     noun=f"interface of {self.name!r}",
                     state=f"has node {node}",
                 )

@@ -62,7 +62,7 @@ class ModalDamping(nn.Module):
             raise InputError(
                 (str(self.body), label),
                 value,
-                f"{allowed}",
+                allowed,
                 noun=f"{label} of {self.body!r}",
                 shown=f"{value!r} {unit}",
             )
@@ -82,7 +82,7 @@ class ModalDamping(nn.Module):
         values: Any = plain if several else [plain]
         numbers = [scalar(name, z, allowed) for z in values]
         if (several and len(numbers) not in modes) or not all(0.0 <= z < 1.0 for z in numbers):
-            raise InputError(name, plain, f"{allowed}")
+            raise InputError(name, plain, allowed)
         self.rate, self._shared = self._number("damping rate", rate, "1/s"), not several
         if "ratios" in self.__dict__:
             del self.ratios

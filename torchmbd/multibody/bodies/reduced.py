@@ -63,7 +63,7 @@ def reduced(
     least, most = 0 if held else 1, len(free) - len(held)
     if not is_whole(modes) or not least <= modes <= most:
         allowed = f"a whole number, {least} to {most}, the freedoms of the mesh"
-        raise InputError((name, "modes"), modes, f"{allowed}", noun=f"modes of {name!r}")
+        raise InputError((name, "modes"), modes, allowed, noun=f"modes of {name!r}")
     updated = true_or_false(f"updated of {name!r}", updated)
     if kind not in REDUCTIONS:
         raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
@@ -117,7 +117,7 @@ def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence
         if node in reference or list(interface).count(node) > 1:
             allowed = "nodes that are no reference, each once"
             raise InputError(
-                (name, "interface"), interface, f"{allowed}", noun=f"interface of {name!r}", state=f"has node {node}"
+                (name, "interface"), interface, allowed, noun=f"interface of {name!r}", state=f"has node {node}"
             )
     freedoms = torch.tensor([6 * node + i for node in interface for i in range(6)], dtype=torch.long)
     bound = freedoms[~torch.isin(freedoms, free)]

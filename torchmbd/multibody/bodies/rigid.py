@@ -168,7 +168,7 @@ def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
     )
     J = torch.diag(J) if J.shape == (3,) else J
     if J.shape != (3, 3) or not bool(torch.isfinite(J).all()) or not torch.allclose(J, J.T, rtol=1e-12, atol=0):
-        raise InputError((name, "inertia"), inertia, f"{allowed}", noun=f"inertia of {name!r}")
+        raise InputError((name, "inertia"), inertia, allowed, noun=f"inertia of {name!r}")
     principal = torch.linalg.eigvalsh(J)
     # A body of positive mass has J1 + J2 >= J3; a rod has J1 = 0 and a driven body may have none at all.
     if float(principal[0]) < 0 or float(principal[0] + principal[1] - principal[2]) < -1e-12 * float(principal[2]):

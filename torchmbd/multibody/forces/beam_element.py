@@ -94,12 +94,12 @@ def _check_stiffness(name: str, K: Tensor) -> None:
     """InputError for anything but a symmetric positive definite matrix [6, 6]."""
     allowed = "a symmetric, positive definite matrix [6, 6]"
     if K.shape != (6, 6) or not bool(torch.isfinite(K).all()):
-        raise InputError(name, K, f"{allowed}", state=f"has shape {tuple(K.shape)} or is not finite")
+        raise InputError(name, K, allowed, state=f"has shape {tuple(K.shape)} or is not finite")
     size = K.diagonal().abs().sqrt()
     if bool(((K - K.T).abs() > 1e-9 * size[:, None] * size).any()):
-        raise InputError(name, allowed=f"{allowed}", state="is not symmetric")
+        raise InputError(name, allowed=allowed, state="is not symmetric")
     if int(torch.linalg.cholesky_ex(K)[1]):
-        raise InputError(name, allowed=f"{allowed}", state="is not positive definite")
+        raise InputError(name, allowed=allowed, state="is not positive definite")
 
 
 def _check(name: str, frame: Frame) -> None:

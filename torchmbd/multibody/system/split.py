@@ -96,7 +96,7 @@ def _line(body: Any) -> BeamLine:
     """The line of a body; InputError for a body that cannot be split."""
     allowed = "a body of FlexibleBody.beam, before it is moved or bent"
     if not isinstance(body, FlexibleBody):
-        raise InputError("body", body, f"{allowed}", noun="body of split")
+        raise InputError("body", body, allowed, noun="body of split")
     if not all(isinstance(part, Beams) for part in body.parts.values()) or not body.parts or body.links:
         raise InputError(f"body {body.name!r} of split is not a beam; allowed: {allowed}")
     if any(given_velocities(body)) or has_modal_start(body) or isinstance(body.position, nn.Parameter):
