@@ -10,6 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import laminate, plate
+from tests.refused import refused
 from torchmbd.errors import InputError
 
 
@@ -105,7 +106,7 @@ def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words):
 
 def test_a_node_that_does_not_exist_is_named():
     body = plate("rod")
-    with pytest.raises(InputError, match=r"'rigth' does not exist; allowed: .*did you mean 'right'"):
+    with refused("node", "rigth", meant="right"):
         body.at("rigth")
     for index in (-1, 15):
         with pytest.raises(InputError, match=rf"node is {index}; allowed: a node name or 0 to 14"):

@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import coupled, given, matrix
+from tests.refused import refused
 
 GROUND = mbd.Ground()
 MASS = matrix(2.0, 2.0, 2.0, 3e-3, 1e-3, 2e-3)
@@ -186,9 +187,9 @@ def test_refusals():
     with pytest.raises(mbd.InputError, match="line of the flexible beam 'beam' varies"):
         mbd.FlexibleBeam("beam", mbd.BeamLine(nn.Parameter(line.nodes.clone())), SECTION)
     beam = mbd.FlexibleBeam("beam", line, SECTION)
-    with pytest.raises(mbd.InputError, match="node"):
+    with refused("node"):
         beam.at("middle")
-    with pytest.raises(mbd.InputError, match="node of 'beam' is 4"):
+    with refused("beam.node", 4):
         beam.at(4)
     other = mbd.RigidBody("other", 1.0, (1.0, 1.0, 1.0))
     with pytest.raises(mbd.InputError, match="no joint and no force holds 'beam'"):

@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import finished
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
 
@@ -83,7 +84,7 @@ def test_given_modes_span_the_same_motion(built, numbers):
 
 @pytest.mark.parametrize("nodes", [{1: (0, 0, 0), 2: (1, 0)}, {1: "abc"}, {1: (0, 0, 0), "a": (1, 0, 0)}])
 def test_labels_with_places_that_are_none(numbers, nodes):
-    with pytest.raises(InputError, match=r"nodes of 'arm' are .*a number -> three coordinates"):
+    with refused("arm.nodes"):
         mbd.FlexibleBody.from_matrices("arm", *numbers, nodes)
 
 

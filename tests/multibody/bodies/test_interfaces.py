@@ -8,6 +8,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
+from tests.refused import refused
 
 STEEL = mbd.Ply.isotropic(E=2.1e11, nu=0.3, density=7800.0)
 LENGTH, WIDTH, THICKNESS = 0.5, 0.05, 2e-3
@@ -155,7 +156,7 @@ def test_wrong_interfaces_are_refused(interface, words):
 def test_wrong_options_are_refused():
     with pytest.raises(mbd.InputError, match="rigid of an Interface is 1"):
         mbd.Interface("left_edge", rigid=1)
-    with pytest.raises(mbd.InputError, match="weights of an Interface are given"):
+    with refused("weights"):
         mbd.Interface("left_edge", rigid=True, weights=[1.0])
     body = plate()
     with pytest.raises(mbd.InputError, match="interface is given; allowed: none with reduction 'vibration'"):

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.design.differentiate import differentiate
 
 MODULI: dict[str, Any] = {"E1": 60e9, "E2": 9e9, "G12": 5e9, "G13": 4e9, "G23": 3e9, "nu12": 0.3, "density": 1600.0}
@@ -119,7 +120,7 @@ def test_a_loss_factor_is_identified():
 @pytest.mark.extensions
 def test_what_has_no_loss_is_refused():
     ply = mbd.Ply(**MODULI, loss=0.01)
-    with pytest.raises(mbd.InputError, match=r"Ply: loss = -0\.1; allowed: zero or positive"):
+    with refused("loss", -0.1):
         mbd.Ply(**MODULI, loss=-0.1)
     with pytest.raises(mbd.InputError, match=r"ply of a section has the loss factor 0\.01; allowed: 0"):
         mbd.sections.strip(0.03, ply, mbd.deg([0.0]), 1e-3)

@@ -10,6 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import cross_matrix, turned
+from tests.refused import refused
 from torchmbd.errors import InputError
 
 
@@ -87,7 +88,7 @@ def test_bad_frames_are_named():
     box = mbd.RigidBody("box", mass=1.0, inertia=(1.0, 1.0, 1.0))
     with pytest.raises(InputError, match=r"point on 'box' is \(0.0, nan, 0.0\); allowed: three finite numbers"):
         box.at(0.0, math.nan, 0.0)
-    with pytest.raises(InputError, match="axes is not a rotation"):
+    with refused("axes"):
         mbd.Ground().at(axes=[[1, 1, 0], [0, 1, 0], [0, 0, 1]])
     with pytest.raises(InputError, match=r"axis is 'w'; allowed: 'x', 'y', 'z'"):
         box.at().axis("w")

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.refused import refused
 
 GROUND = mbd.Ground()
 E, G, DENSITY = 211e9, 81.2e9, 7810.0  # of the rotors below
@@ -96,11 +97,11 @@ def test_bad_observers_are_named():
     section = mbd.GivenSection.isotropic(E, 0.3, DENSITY, 1e-3, Iyy=1e-6, Izz=1e-6, J=2e-6)
     body = mbd.FlexibleBody.beam("shaft", mbd.BeamLine.straight(1.0, 4), section, modes=4)
     system = mbd.System([body], forces=[mbd.Bushing(GROUND.at(), body.at("start"), stiffness=(1e4, 1e4, 1e4))])
-    with pytest.raises(mbd.InputError, match="observer 'moon' does not exist"):
+    with refused("observer", "moon"):
         mbd.equilibrium(system, spin=(1.0, 0.0, 0.0), observer="moon")
-    with pytest.raises(mbd.InputError, match="observer is 'ground' without a spin"):
+    with refused("observer", "ground"):
         mbd.equilibrium(system, observer="ground")
     with pytest.raises(mbd.InputError, match="body 'shaft', whose modes turn with it"):
         mbd.equilibrium(system, spin=(1.0, 0.0, 0.0), observer="ground")
-    with pytest.raises(mbd.InputError, match="spin is"):
+    with refused("spin", [[1.0, 0.0], [2.0, 0.0]]):
         mbd.equilibrium(system, spin=[[1.0, 0.0], [2.0, 0.0]])

@@ -14,6 +14,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import given, matrix
 from tests.fem.exact_beam.test_vibrations import INCH, blade
+from tests.refused import refused
 from torchmbd.multibody.equilibrium.linearized import Linearization
 from torchmbd.multibody.equilibrium.steady_rotation import SteadyRotation
 
@@ -200,9 +201,9 @@ def test_refusals():
     for spin in ((0.0, 0.0, 0.5 * speed), (0.0, speed, 0.0)):  # the motor turns faster; gravity lies across
         with pytest.raises(mbd.InputError, match=r"no (steady rotation|static equilibrium)"):
             mbd.equilibrium(system, spin=spin)
-    with pytest.raises(mbd.InputError, match=r"spin is \(0\.0, 1\.0\); allowed: three finite numbers"):
+    with refused("spin", (0.0, 1.0)):
         mbd.equilibrium(system, spin=(0.0, 1.0))
-    with pytest.raises(mbd.InputError, match=r"center is \(1\.0, 0\.0, 0\.0\) without a spin; allowed: with spin="):
+    with refused("center", (1.0, 0.0, 0.0)):
         mbd.equilibrium(system, center=(1.0, 0.0, 0.0))
 
 

@@ -10,6 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, laminate, pendulum, plate, random_state, tensor
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.force import Applied, ForceElement
@@ -110,7 +111,7 @@ class TestDoor:
     """Every argument of System is refused with its name, its value and what is allowed."""
 
     def test_bodies(self):
-        with pytest.raises(InputError, match="bodies is empty; allowed: at least one body"):
+        with refused("bodies", []):
             mbd.System([])
         with pytest.raises(InputError, match="body name 'a' is used 2 times; allowed: unique names"):
             mbd.System([box("a"), box("a")])
@@ -137,27 +138,25 @@ class TestDoor:
 
     @pytest.mark.parametrize("gravity", [9.81, (0.0, -9.81), (0.0, 0.0, math.inf)])
     def test_gravity(self, gravity):
-        with pytest.raises(InputError, match=r"gravity is .*; allowed: three finite numbers"):
+        with refused("gravity"):
             mbd.System([box("a")], gravity=gravity)
 
     @pytest.mark.parametrize("time", [0.0, -1.0, math.nan])
     def test_stabilization(self, time):
-        with pytest.raises(InputError, match=r"stabilization is .* s; allowed: a positive"):
+        with refused("stabilization"):
             mbd.System([box("a")], stabilization=time)
 
     def test_forces_are_refused_until_there_are_some(self):
-        with pytest.raises(InputError, match="forces has <object"):
+        with refused("forces"):
             mbd.System([box("a")], forces=[object()])
 
     def test_body_names(self):
-        with pytest.raises(InputError, match="body 'rdo' does not exist; allowed: arm, rod; did you mean 'rod'"):
+        with refused("body", "rdo", meant="rod"):
             pendulum().body("rdo")
 
     def test_parameters(self):
         system = pendulum()
-        with pytest.raises(
-            InputError, match=r"parameter 'rod.laminate.angle' does not exist.*did you mean 'rod.laminate.angles'"
-        ):
+        with refused("parameter", "rod.laminate.angle", meant="rod.laminate.angles"):
             system.dynamics({"rod.laminate.angle": mbd.deg([[1.0, 2.0]])})
         with pytest.raises(InputError, match=r"'rod.laminate.angles' has shape \(2,\); allowed: \[lanes, 2\]"):
             system.dynamics({"rod.laminate.angles": mbd.deg([1.0, 2.0])})
@@ -166,7 +165,7 @@ class TestDoor:
 
     def test_lanes_that_do_not_agree(self):
         result = [plate("one"), plate("two", made_of=laminate((10.0, 80.0)))]
-        with pytest.raises(InputError, match=r"lanes"):
+        with refused("lanes"):
             mbd.System(result).dynamics(
                 {"one.laminate.angles": torch.zeros(2, 3).double(), "two.laminate.angles": torch.zeros(3, 2).double()}
             )
