@@ -19,6 +19,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import finished, pendulum
+from tests.refused import refused
 from torchmbd.integrate import METHODS, Trajectory, adjoint_solver
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.ode import ADAPTIVE, FIXED
@@ -234,7 +235,7 @@ def test_options_are_the_fields_of_its_class(method, system):
     words = "the option 'rest' does not exist; allowed: " + ", ".join(allowed)
     with pytest.raises(mbd.InputError, match=f"for method '{method}' {words}"):
         mbd.simulate(system, DURATION, method, rest=1)
-    with pytest.raises(mbd.InputError, match="the option 'name' does not exist"):
+    with refused("name", "mine"):
         integrator_of(method, {"name": "mine"})
     for name in allowed:
         for wrong in ("x", object(), -1, [1.0], {1: 2}, True, b"1", torch.zeros(2)):
@@ -275,13 +276,13 @@ def test_good_options_of_torchdiffeq_are_passed_on(system):
 
 @pytest.mark.parametrize("phases", [object(), int, 1j, torch.zeros(3), True, -1, "x", {}, [], [1], mbd.Phase()])
 def test_phases_of_another_type_are_refused(phases, system):
-    with pytest.raises(mbd.InputError, match=r"phases is .*; allowed: a list of at least one mbd.Phase"):
+    with refused("phases"):
         mbd.simulate(system, DURATION, steps=2, phases=phases)
 
 
 @pytest.mark.parametrize("method", [3, None, [3], {"a": 1}, object(), "generalised_alpha", "scipy_solver"])
 def test_a_method_that_does_not_exist_is_refused(method, system):
-    with pytest.raises(mbd.InputError, match=r"method .*; allowed: "):
+    with refused("method"):
         mbd.simulate(system, DURATION, method)
 
 

@@ -12,6 +12,7 @@ from tests.optimization.analytic import Analytic
 from tests.optimization.counts import error
 from tests.optimization.hock_schittkowski import hock_schittkowski
 from tests.optimization.structures import three_bar_truss
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.optimization import OPTIMIZERS, STATUSES, Evaluation, optimize
 from torchmbd.optimization.optimizer import Ending
@@ -453,16 +454,16 @@ def test_crossed_bounds_are_named():
 def test_start_outside_the_bounds_is_named():
     with pytest.raises(InputError, match=r"start of x3 = 11: must lie between -10 and 10"):
         optimize(quadratic(), start=[0, 0, 11])
-    with pytest.raises(InputError, match="start of x1 = nan"):
+    with refused("start.x1"):
         optimize(quadratic(), start=[np.nan, 0, 0])
 
 
 def test_wrong_names_are_answered_with_the_nearest():
-    with pytest.raises(InputError, match=r"method 'mfd' does not exist.*did you mean 'mmfd'"):
+    with refused("method", "mfd", meant="mmfd"):
         optimize(quadratic(), "mfd")
     with pytest.raises(InputError, match=r"option 'delobjs' does not exist.*did you mean 'delobj'"):
         optimize(quadratic(), "mmfd", delobjs=1e-3)
-    with pytest.raises(InputError, match=r"ct = 0.03: must lie in \[-1, 0\]"):
+    with refused("ct", 0.03):
         optimize(quadratic(), "mmfd", ct=0.03)
 
 
@@ -472,19 +473,19 @@ def test_wrong_lengths_are_named():
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "fault"),
     [
-        ({"problem": None}, "problem is None, without names, start, lower, upper, evaluate; allowed: a problem"),
-        ({"max_iterations": 2.5}, "max_iterations = 2.5: must be an integer"),
-        ({"max_iterations": "3"}, "max_iterations = '3': must be an integer"),
-        ({"max_analyses": 0}, r"max_analyses = 0: must lie in \[1, "),
-        ({"start": "x"}, "start is 'x'; allowed: numbers"),
-        ({"feasibility": "x"}, r"feasibility = 'x': must lie in \[0, 1\]"),
-        ({"method": "differential_evolution", "population": 4.5}, "population = 4.5: must be an integer"),
+        ({"problem": None}, ("problem",)),
+        ({"max_iterations": 2.5}, ("max_iterations", 2.5)),
+        ({"max_iterations": "3"}, ("max_iterations", "3")),
+        ({"max_analyses": 0}, ("max_analyses", 0)),
+        ({"start": "x"}, ("start", "x")),
+        ({"feasibility": "x"}, ("feasibility", "x")),
+        ({"method": "differential_evolution", "population": 4.5}, ("population", 4.5)),
     ],
 )
-def test_arguments_of_a_wrong_kind_are_named(given, words):
-    with pytest.raises(InputError, match=words):
+def test_arguments_of_a_wrong_kind_are_named(given, fault):
+    with refused(*fault):
         optimize(**({"problem": quadratic()} | given))
 
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.results.response_error import response_error
@@ -135,7 +136,7 @@ def test_bad_input() -> None:
     motion = mbd.simulate(system, 0.1, steps=10, gradients="none")
     with pytest.raises(InputError, match="such as mbd"):
         motion.error_of(mbd.Angle("bob", "z"))
-    with pytest.raises(InputError, match="response is 3"):
+    with refused("response", 3):
         response_error(motion, 3)  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match=r"rk4.*allowed: generalized_alpha"):
         mbd.simulate(system, 0.1, "rk4", steps=10, gradients="none").error_of(ANGLE)
@@ -148,5 +149,5 @@ def test_changed_parameter_is_refused() -> None:
     motion = mbd.simulate(system, 0.01, steps=4, gradients="none")
     with torch.no_grad():
         dict(system.named_parameters())["arm.laminate.angles"].add_(0.1)
-    with pytest.raises(InputError, match="has changed since the motion"):
+    with refused("arm.laminate.angles"):
         motion.error_of(mbd.Integral(ENERGY))

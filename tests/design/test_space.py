@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import laminate, plate, rigid_pendulum
+from tests.refused import refused
 from torchmbd.design import DesignSpace
 from torchmbd.errors import InputError
 
@@ -97,7 +98,7 @@ def test_a_system_without_parameters_has_no_designs():
 
 def test_designs_of_a_wrong_shape(system):
     for X in (np.zeros(5), np.zeros((2, 4))):
-        with pytest.raises(InputError, match=r"designs have shape .*; allowed: \[lanes, 5\]"):
+        with refused("designs"):
             DesignSpace(system).designs(X)
 
 

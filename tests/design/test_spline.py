@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
+from tests.refused import refused
 from torchmbd.design.slopes import slopes
 from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError
@@ -165,7 +166,7 @@ def test_the_ends_of_the_motion_are_a_window():
     assert_close(whole.cut((0.0, 1.0)).y, whole.y, rtol=0, atol=1e-15)
     with pytest.raises(InputError, match=r"window is \(0.2, 1.1\) s; allowed: within the simulated time, 0 to 1 s"):
         whole.cut((0.2, 1.1))
-    with pytest.raises(InputError, match=r"time is 1\.2 s; allowed: within the simulated time"):
+    with refused("time", 1.2):
         whole.sampled(torch.tensor([0.3, 1.2], dtype=torch.float64))
 
 

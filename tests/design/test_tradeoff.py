@@ -7,6 +7,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.optimization import pareto_front
 
@@ -60,9 +61,9 @@ def test_a_failed_design_is_a_failed_evaluation():
 
 
 def test_what_it_refuses():
-    with pytest.raises(InputError, match=r"minimize has \['energy'\]; allowed: two"):
+    with refused("minimize"):
         tradeoff(minimize={"energy": mbd.Integral(ENERGY)})
     with pytest.raises(InputError, match="criterion 'peaks' has 8 rows; allowed: responses of one number"):
         tradeoff(minimize={**CRITERIA, "peaks": mbd.AtPeaks(ENERGY)})
-    with pytest.raises(InputError, match="equalities"):
+    with refused("subject_to"):
         tradeoff(subject_to=[mbd.Constraint(mbd.Max(ENERGY), "initial", "equal")])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import indices, positive, reals, scalar
 
@@ -28,11 +29,11 @@ def test_what_is_none_is_named():
     with pytest.raises(InputError) as error:
         reals("x", "steel")
     assert (error.value.path, error.value.value) == (("x",), "steel")
-    with pytest.raises(InputError, match=r"x is \[\[1, 2\], \[3\]\]; allowed: whole numbers"):
+    with refused("x", [[1, 2], [3]]):
         indices("x", [[1, 2], [3]])
     with pytest.raises(InputError, match=r"x holds 1\.5; allowed: whole numbers"):
         indices("x", [1.0, 1.5])
-    with pytest.raises(InputError, match=r"x is .*1j.*; allowed: numbers, real ones"):
+    with refused("x", [1j]):
         reals("x", [1j])
     with pytest.raises(InputError, match="x holds nan"):
         indices("x", [1.0, float("nan")])
@@ -43,6 +44,6 @@ def test_numbers_that_are_none_are_named():
         with pytest.raises(InputError, match=r"mass of 'rod' is .* kg; allowed: a positive and finite number"):
             positive("mass of 'rod'", given, "kg")
     for read in (lambda x: positive("mass", x, "kg"), lambda x: reals("mass", [0.0, x]), lambda x: indices("mass", x)):
-        with pytest.raises(InputError, match="mass carries a gradient"):
+        with refused("mass"):
             read(torch.ones((), requires_grad=True))
     assert (positive("x", torch.tensor(2.0), "m"), scalar("x", -3)) == (2.0, -3.0)

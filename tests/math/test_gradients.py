@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import nn
 
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import carries_gradient, constant_arguments, refuse_gradients, refuse_lost_gradients
 
@@ -36,7 +37,7 @@ def test_what_torch_func_differentiates_is_seen_and_constants_made_inside_are_no
         one = torch.ones(2, dtype=torch.float64)
         assert (carries_gradient(x), carries_gradient(2.0 * x), carries_gradient(one)) == (True, True, False)
         refuse_gradients("one", [one])
-        with pytest.raises(InputError, match="x carries a gradient"):
+        with refused("x"):
             refuse_gradients("x", {"a": (x,)})
         return x.sum()
 

@@ -7,6 +7,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.optimization.analytic import Analytic
+from tests.refused import refused
 from torchmbd.optimization import search
 from torchmbd.optimization.optimizer import STATUSES
 
@@ -62,5 +63,5 @@ def test_a_multistart_begins_no_start_after_it(problem):
 @pytest.mark.parametrize("limit", [0.0, -1.0, "long", np.nan])
 @pytest.mark.parametrize("function", [mbd.optimize, mbd.multistart])
 def test_a_limit_is_positive(function, limit):
-    with pytest.raises(mbd.InputError, match="max_time"):
+    with refused("max_time"):
         function(rosenbrock(), max_time=limit)

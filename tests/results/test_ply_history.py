@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum
+from tests.refused import refused
 from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import ply_basis
@@ -124,7 +125,7 @@ def test_a_constraint_on_the_peak(motions):
 
 
 def test_the_door_names_what_is_missing(motions):
-    with pytest.raises(InputError, match=r"criterion 'tsai_wo' does not exist.*did you mean 'tsai_wu'"):
+    with refused("criterion", "tsai_wo", meant="tsai_wu"):
         PlyFailure("rod", "tsai_wo").check(motions[0].system)
     with pytest.raises(InputError, match=r"body 'arm' has no plies; allowed here: a plate"):
         PlyFailure("arm").check(motions[0].system)
@@ -132,7 +133,7 @@ def test_the_door_names_what_is_missing(motions):
         PlyFailure("rod").check(pendulum())
     plies = PlyHistory(motions[0], "rod")
     for criterion in ("x", ["tsai_wu"]):
-        with pytest.raises(InputError, match=r"criterion .* does not exist"):
+        with refused("criterion"):
             plies.failure(criterion)
         with pytest.raises(InputError, match=r"criterion of modes .* does not exist"):
             plies.modes(criterion)

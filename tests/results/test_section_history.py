@@ -12,6 +12,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.fem.sections.section_cases import ANBA
 from tests.mechanisms import turned
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.fem import sections
 from torchmbd.fem.elements import BeamLine, GivenSection
@@ -141,9 +142,7 @@ def test_the_door_names_what_is_missing(motions):
     motion = mbd.simulate(system, 1e-3, steps=2)
     with pytest.raises(InputError, match=r"the sections of 'arm' have no plies; allowed: a Section"):
         mbd.SectionHistory(motion, "arm").failure()
-    with pytest.raises(
-        InputError, match=r"section0 of 'arm' is a GivenSection, which has no stresses; allowed: Section"
-    ):
+    with refused("arm.section0"):
         mbd.SectionHistory(motion, "arm").stress()
     assert mbd.SectionHistory(motion, "arm").forces().shape == (1, 3, 4, 6)
     with pytest.raises(InputError, match=r"body 'arm' has no plies; allowed here"):

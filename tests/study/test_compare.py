@@ -9,7 +9,7 @@ import shutil
 import pytest
 from rich.console import Console
 
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.study.compare import differences, print_best, print_comparison
 from torchmbd.study.listing import print_links_of
 from torchmbd.study.runs import flat
@@ -38,7 +38,7 @@ def test_only_what_differs_is_compared(finished):
 
 def test_a_run_is_not_compared_with_itself(finished):
     run = finished.runs[0]
-    with pytest.raises(InputError, match=rf"are the same run, {run[:8]}; allowed: two runs"):
+    with refused("a", run):
         shown(print_comparison, run, run[:8], finished.uri)
 
 

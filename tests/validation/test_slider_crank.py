@@ -12,6 +12,7 @@ from __future__ import annotations
 import pytest
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.examples.slider_crank import DURATION, build
 from torchmbd.integrate import Trajectory
 
@@ -124,5 +125,5 @@ def test_the_universal_joint_is_another_model_where_bending_and_twist_are_couple
             for joint in joints
         )
         assert least <= abs(one / other - 1.0) < most
-    with pytest.raises(mbd.InputError, match=r"joint 'sperical' does not exist.*did you mean 'spherical'"):
+    with refused("joint", "sperical", meant="spherical"):
         build(1, joint="sperical")

@@ -10,7 +10,7 @@ import torch
 from numpy.testing import assert_allclose
 
 import torchmbd as mbd
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.optimization.optimizer import Iterate
 from torchmbd.viz.panels import histories_of
 
@@ -120,7 +120,7 @@ def test_responses_over_the_iterations_are_in_their_units(problem, motion):
     for axes, values in zip(rows[1:], expected, strict=True):
         assert_allclose(curves(axes)[1], values, rtol=1e-9, atol=1e-12)  # an angle of 0 rounds
     assert_allclose(curves(rows[3])[2], np.degrees(-0.5))
-    with pytest.raises(InputError, match="searches is empty"):
+    with refused("searches", {}):
         mbd.viz.criteria_over_iterations(problem, {"start 0": []})
 
 
@@ -149,7 +149,7 @@ def test_the_failure_map_holds_the_largest_index(motion):
     figure = mbd.viz.failure_map(motion, "arm", LABELS)
     drawn = [np.asarray(axes.collections[0].get_array()).max() for axes in figure.axes[:2]]
     assert_allclose(drawn, FAILURE(motion).detach().amax(1).numpy(), rtol=1e-12)
-    with pytest.raises(InputError, match="labels are"):
+    with refused("labels", ["start"]):
         mbd.viz.failure_map(motion, "arm", ["start"])
 
 
@@ -218,7 +218,7 @@ def test_pictures_of_designs_number_them_without_labels(problem, motion):
 
 
 def test_bodies_without_plies_have_no_failure_map(motion):
-    with pytest.raises(InputError, match="has no plies"):
+    with refused("tool"):
         mbd.viz.failure_map(motion, "tool", LABELS)
 
 
@@ -236,7 +236,7 @@ def test_parallel_coordinates():
     axes = mbd.viz.parallel_coordinates(X, y, ["a [deg]", "b"], objective=long).axes[0]
     assert axes.get_xticklabels()[-1].get_text() == "objective\n[m2/s]"
     assert axes.get_xlabel().replace("\n", " ") == f"objective: {long}"
-    with pytest.raises(InputError, match="a row for each objective"):
+    with refused("designs"):
         mbd.viz.parallel_coordinates(X, y[:2], ["a", "b"])
 
 

@@ -10,6 +10,7 @@ from torch.testing import assert_close
 
 from tests.fem.elements.beam_cases import coupled_section, tip_flexibility
 from tests.mechanisms import turned
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam import BeamMatrices, section_particles
 from torchmbd.fem.elements.beam_line import BeamLine
@@ -90,7 +91,7 @@ def test_axes_follow_the_orientation():
     assert_close(axes[1], torch.tensor([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]], dtype=torch.float64))
     with pytest.raises(InputError, match=r"orientation \[0.0, 0.0, 1.0\] lies along element 1"):
         BeamMatrices(line, (0.0, 0.0, 1.0))
-    with pytest.raises(InputError, match=r"orientation has shape \(2,\)"):
+    with refused("orientation"):
         BeamMatrices(line, (0.0, 1.0))
 
 

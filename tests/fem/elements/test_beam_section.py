@@ -10,6 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.fem.sections.section_cases import ANBA, general_section
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_section import BeamSection, GivenSection, line_transform
 from torchmbd.fem.sections import Section, SectionMesh
@@ -67,13 +68,13 @@ def test_bad_matrices_are_named(change, words):
 
 
 def test_bad_numbers_are_named():
-    with pytest.raises(InputError, match=r"J = 0.0; allowed"):
+    with refused("J", 0.0):
         GivenSection.isotropic(1.0, 0.3, 1.0, 1.0, 1.0, 1.0, 0.0)
     with pytest.raises(InputError) as error:
         GivenSection.isotropic(1.0, 0.6, 1.0, 1.0, 1.0, 1.0, 1.0)
     assert (error.value.path, error.value.value) == (("nu",), 0.6)
     zero = torch.zeros(1, dtype=torch.float64)
-    with pytest.raises(InputError, match="offset is"):
+    with refused("offset"):
         line_transform(torch.full((1, 2), math.nan), zero)
     with pytest.raises(InputError) as error:
         line_transform(torch.zeros(1, 2), zero + 90.0)

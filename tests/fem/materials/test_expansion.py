@@ -10,6 +10,7 @@ from torch.func import functional_call
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.errors import InputError
 
 E1, E2, G, NU, A1, A2 = 128e9, 10.1e9, 5.36e9, 0.23, -0.3e-6, 28e-6
@@ -170,7 +171,7 @@ def test_bad_input_is_refused():
     assert not any(bool(x.any()) for x in stack.expansion())
     for name in ("alpha1", "beta2"):
         coefficients: dict[str, Any] = {name: float("inf")}
-        with pytest.raises(InputError, match=f"Ply: {name} = inf; allowed: a finite number"):
+        with refused(name):
             mbd.Ply(E1, E2, G, G, G, NU, 1586.0, **coefficients)
-    with pytest.raises(InputError, match="Ply: alpha = nan"):
+    with refused("alpha", float("nan")):
         mbd.Ply.isotropic(mbd.variable(70e9), 0.3, 2700.0, alpha=float("nan"))

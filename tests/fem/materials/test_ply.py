@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.fem.materials import Ply
 
 CARBON = Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.0e9, G23=3.9e9, nu12=0.23, density=1586.0)
@@ -31,18 +31,18 @@ def test_isotropic_ply_has_one_shear_modulus():
 @pytest.mark.parametrize("name", ["E1", "E2", "G12", "G13", "G23", "density"])
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "1e9"])
 def test_bad_constant_is_named(name, value):
-    with pytest.raises(InputError, match=rf"{name} = "):
+    with refused(name):
         dataclasses.replace(CARBON, **{name: value})
 
 
 @pytest.mark.parametrize("nu12", [3.6, -3.6, math.nan])
 def test_energy_must_be_positive(nu12):
     """sqrt(E1 / E2) = 3.56: beyond it some strain would release energy."""
-    with pytest.raises(InputError, match="nu12"):
+    with refused("nu12"):
         dataclasses.replace(CARBON, nu12=nu12)
 
 
 @pytest.mark.parametrize("nu", [-1.0, 0.51])
 def test_isotropic_poisson_is_bounded(nu):
-    with pytest.raises(InputError, match="nu = "):
+    with refused("Ply.isotropic.nu"):
         Ply.isotropic(E=1.0, nu=nu, density=1.0)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.refused import refused
 
 STRENGTH = mbd.Strength(Xt=1.5e9, Xc=1.2e9, Yt=40e6, Yc=246e6, S12=68e6)
 PLY = mbd.Ply(181e9, 10.3e9, 7.17e9, 7.17e9, 7.17e9, 0.28, 1600.0, strength=STRENGTH)
@@ -131,5 +132,5 @@ def test_bad_input_is_named():
 
 @pytest.mark.extensions
 def test_lamination_parameters_have_no_plies_that_fail():
-    with pytest.raises(mbd.InputError, match=r"laminate is LaminationParameters.*; allowed: one Laminate"):
+    with refused("laminate"):
         mbd.progressive_failure(mbd.LaminationParameters(PLY, T, [0, 0, 0, 0]), (1, 0, 0))

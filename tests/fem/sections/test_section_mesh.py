@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from tests.fem.sections.section_cases import ISOTROPIC
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.fem.sections import Section, SectionMesh
 
@@ -86,5 +87,5 @@ def test_bad_sections_are_named(given, words):
 
 
 def test_a_force_has_six_components():
-    with pytest.raises(InputError, match=r"shape \(3,\); allowed: \[..., 6\], N, V_y"):
+    with refused("force"):
         Section(mesh(), ISOTROPIC).stress([1.0, 2.0, 3.0])
