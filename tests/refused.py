@@ -23,7 +23,7 @@ def refused(argument: str, value: Any = _ANY, *, meant: str = "") -> Iterator[py
         yield caught
     error = caught.value
     assert error.argument == argument, f"{error.argument!r}, not {argument!r}: {error}"
-    assert error.allowed or error.rule, f"nothing is said to be allowed: {error}"
+    assert error.allowed != "" or error.rule, f"nothing is said to be allowed: {error}"
     if value is not _ANY:
         assert repr(error.value) == repr(value), f"the value is {error.value!r}, not {value!r}: {error}"
     if meant:

@@ -8,6 +8,7 @@ import torch
 
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import coupled
+from tests.refused import refused
 
 
 def test_a_blade_file_of_beamdyn(tmp_path):
@@ -50,5 +51,5 @@ def test_files_that_are_refused(tmp_path):
         (tmp_path / "bad.inp").write_text(good.replace(old, new))
         with pytest.raises(mbd.InputError, match=words):
             mbd.read_beamdyn(tmp_path / "bad.inp")
-    with pytest.raises(mbd.InputError, match="a BeamDyn blade file that exists"):
+    with refused("path"):
         mbd.read_beamdyn(tmp_path / "none.inp")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import torchmbd as mbd
+from tests.refused import refused
 
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "openmdao.md"
 ENERGY = mbd.Integral(mbd.StrainEnergy("arm"))
@@ -111,11 +112,11 @@ def test_the_page_runs():
 def test_bad_input(monkeypatch):
     arm = mbd.examples.arm()
     if "openmdao" in sys.modules or _installed():
-        with pytest.raises(mbd.InputError, match="responses"):
+        with refused("responses"):
             mbd.openmdao_component(arm, 0.02, {})
-        with pytest.raises(mbd.InputError, match="'energy'"):
+        with refused("energy"):
             mbd.openmdao_component(arm, 0.02, {"energy": mbd.StrainEnergy("arm")})  # pyright: ignore[reportArgumentType]
-        with pytest.raises(mbd.InputError, match="laminate"):
+        with refused("parameter", "arm.laminat.angles"):
             mbd.openmdao_component(arm, 0.02, {"energy": ENERGY}, variables=["arm.laminat.angles"])
     monkeypatch.setitem(sys.modules, "openmdao.api", None)
     with pytest.raises(mbd.InputError, match="openmdao"):

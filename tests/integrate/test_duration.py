@@ -15,6 +15,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import box, finished, pendulum
 from tests.multibody.start.test_initial import four_bar
+from tests.refused import refused
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.errors import InputError
 from torchmbd.examples import slider_crank
@@ -171,11 +172,11 @@ def test_what_is_no_duration_or_would_be_lost_is_refused():
         assert not mbd.simulate(system, T, steps=8).t.requires_grad
     with pytest.raises(InputError, match=r"duration is torch.float32; allowed: torch.float64"):
         mbd.simulate(system, torch.tensor(0.01, requires_grad=True), steps=8)
-    with pytest.raises(InputError, match=r"duration is a tensor of shape \(2,\); allowed: one positive number"):
+    with refused("duration"):
         mbd.simulate(system, torch.tensor([0.01, 0.02]), steps=8)
-    with pytest.raises(InputError, match=r"duration is a batch of torch.vmap; allowed: one positive number"):
+    with refused("duration"):
         torch.vmap(lambda t: mbd.simulate(system, t, steps=8).q)(torch.tensor([0.01, 0.02], dtype=torch.float64))
-    with pytest.raises(InputError, match=r"duration is -0.01 s; allowed: a positive number"):
+    with refused("duration", -0.01):
         mbd.simulate(system, -T, steps=8)
 
 

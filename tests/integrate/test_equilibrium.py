@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, finished, laminate, pendulum, plate, tensor
+from tests.refused import refused
 
 GROUND = mbd.Ground()
 EI, L = 2.1e11 * 1e-9, 1.0
@@ -180,7 +181,7 @@ def test_bad_starts_are_named():
     ):
         with pytest.raises(mbd.InputError, match=words):
             mbd.simulate(system, 0.01, steps=2, start=start)
-    with pytest.raises(mbd.InputError, match=r"times is .*ascending"):
+    with refused("times", [0.0, 0.0]):
         mbd.equilibrium(system, times=[0.0, 0.0])
     with pytest.raises(mbd.InputError, match="start is being differentiated"):
         mbd.simulate(

@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import SOFT, box, laminate, pendulum, plate, rigid_pendulum, tensor, turned
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.integrate.step_count import all_modes
 from torchmbd.integrate.stepper import PRECISE
@@ -97,7 +98,7 @@ def test_a_system_of_other_numbers_is_refused():
 def test_designs_of_different_numbers_of_lanes_are_refused():
     system = mbd.System([plate("one"), plate("two", made_of=laminate((10.0, 80.0)))])
     designs = {"one.laminate.angles": mbd.deg(torch.ones(2, 3)), "two.laminate.angles": mbd.deg(torch.ones(3, 2))}
-    with pytest.raises(InputError, match="lanes"):
+    with refused("designs"):
         mbd.simulate(system, 0.01, steps=1, designs=designs)
 
 
@@ -170,7 +171,7 @@ def test_views_of_a_rigid_body(motion):
     for name in ("w", "wd", "strain_energy", "displacements", "nodes", "psi", "stiffness", "dw_db"):
         with pytest.raises(InputError, match="body 'arm' is rigid; allowed here: a flexible body"):
             getattr(arm, name)
-    with pytest.raises(InputError, match=r"body 'am' does not exist; allowed: .*did you mean 'arm'"):
+    with refused("body", "am", meant="arm"):
         motion.body("am")
 
 

@@ -10,6 +10,7 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
+from tests.refused import refused
 
 ANGLES = "rod.laminate.angles"
 DESIGNS = torch.tensor([[0.35, -0.87]], dtype=torch.float64)
@@ -127,7 +128,7 @@ def test_other_steps_are_those_of_a_simulation_made_with_them():
     assert simulation.with_steps(4) is simulation
     assert torch.equal(simulation.with_steps(6)().q, mbd.simulate(system, 0.02, steps=6, backend="eager").q)
     assert simulation.steps == 4
-    with pytest.raises(mbd.InputError, match="steps is 0"):
+    with refused("steps", 0):
         simulation.with_steps(0)
     longer = simulation.with_arguments(duration=0.04)
     assert torch.equal(longer().q, mbd.simulate(system, 0.04, steps=4, backend="eager").q)
@@ -151,9 +152,9 @@ def test_the_constructor_refuses_what_no_motion_has(arguments, message):
 
 def test_a_call_refuses_its_own_arguments():
     simulation = mbd.Simulation(mbd.examples.pendulum(), 0.02, steps=4)
-    with pytest.raises(mbd.InputError, match=r"bob\.mess"):
+    with refused("parameter", "bob.mess"):
         simulation({"bob.mess": torch.ones(1, dtype=torch.float64)})
-    with pytest.raises(mbd.InputError, match="gradients 'both'"):
+    with refused("gradients", "both"):
         simulation(gradients="both")
 
 

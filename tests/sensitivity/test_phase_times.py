@@ -9,6 +9,7 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum, tensor
+from tests.refused import refused
 from torchmbd.errors import InputError
 
 LOCKED = "revolute_ground_arm"
@@ -109,7 +110,7 @@ def test_values_alone_have_no_gradient_by_a_time(system):
 
 @pytest.mark.parametrize("until", [tensor(0.1, 0.2), torch.tensor(0.1, dtype=torch.float32), tensor(-1.0).squeeze()])
 def test_a_time_is_one_positive_float64_number(until):
-    with pytest.raises(InputError, match="until of a phase is"):
+    with refused("until"):
         mbd.Phase(until=until)
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.design import history
 from torchmbd.design.spline import Spline
 from torchmbd.extensions.fatigue import Damage, EquivalentLoad, FatigueDamage, SNCurve, damage
@@ -84,7 +85,7 @@ def test_ranges_and_means_have_derivatives():
 def test_a_history_needs_two_values(y):
     with pytest.raises(mbd.InputError, match=r"allowed: \[..., n\] with two values"):
         rainflow(y)
-    with pytest.raises(mbd.InputError, match=r"y is 'load\.csv'; allowed: numbers"):
+    with refused("y", "load.csv"):
         rainflow("load.csv")
 
 

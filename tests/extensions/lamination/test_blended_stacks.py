@@ -10,6 +10,7 @@ import torch
 
 import torchmbd as mbd
 from tests.extensions.lamination.test_stack_recovery import asked
+from tests.refused import refused
 
 QUARTERS = mbd.deg([0, 45, 90, -45])
 
@@ -102,9 +103,9 @@ def test_bad_input_is_named():
     ]:
         with pytest.raises(mbd.InputError, match=words):
             mbd.recover_blended_stacks(*given, QUARTERS)
-    with pytest.raises(mbd.InputError, match="area of 'a' is -1"):
+    with refused("a.area", -1.0):
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, areas={"a": -1.0})
     with pytest.raises(mbd.InputError, match="seed is -1; allowed: a whole number >= 0"):
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, seed=-1)
-    with pytest.raises(mbd.InputError, match=r"weights is 3.0; allowed: three numbers"):
+    with refused("weights", 3.0):
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, weights=3.0)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.cards import parse_cards, read_cards
@@ -85,7 +86,7 @@ def test_what_is_broken_is_named_with_its_line(text, words):
 
 
 def test_files_that_do_not_exist_and_circles(tmp_path):
-    with pytest.raises(InputError, match=r"allowed: a Nastran bulk data file that exists"):
+    with refused("path"):
         read_cards(tmp_path / "none.bdf")
     file = tmp_path / "a.bdf"
     file.write_text("INCLUDE 'a.bdf'\n")

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.body import bulk_body
 
@@ -94,7 +95,7 @@ def test_what_the_case_control_chooses(mass):
         assert mass("NSM,5,PSHELL,1,3.", control=None) == pytest.approx(OWN + 6.0)
     with pytest.raises(InputError, match="NSM is 5, 6; allowed: one set of"):
         mass("NSM,5,PSHELL,1,3.", "NSM,6,PSHELL,1,3.", control=None)
-    with pytest.raises(InputError, match="NSM is 5, 6"):
+    with refused("NSM", "5, 6"):
         mass("NSM,5,PSHELL,1,3.", "NSM,6,PSHELL,1,3.", control=("SUBCASE 1", "NSM = 5", "SUBCASE 2", "NSM = 6"))
 
 

@@ -12,6 +12,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.extensions.nastran.bdf_models import model
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.cards import read_cards
 
@@ -111,11 +112,11 @@ def test_included_files_become_one_deck(tmp_path):
     path = mbd.write_bdf(body, deck)
     same(body, read(path, "plate", 3))
     assert plies.read_text() == text[start:end].rstrip()
-    with pytest.raises(InputError, match=r"path is .*plies\.inc.*; allowed: another file than the deck and"):
+    with refused("path"):
         mbd.write_bdf(body, deck, plies)
     assert plies.read_text() == text[start:end].rstrip()
     plies.write_text(text[start:end])
-    with pytest.raises(InputError, match=r"deck = .*contents that were read"):
+    with refused("deck"):
         mbd.write_bdf(body, deck)
 
 
@@ -180,11 +181,11 @@ def test_bad_input_is_refused(tmp_path):
     deck = tmp_path / "model.bdf"
     deck.write_text(deck_text({}))
     body = moved(read(deck, "plate", 3))
-    with pytest.raises(InputError, match=r"path is .*; allowed: another file than the deck"):
+    with refused("path"):
         mbd.write_bdf(body, deck, deck)
-    with pytest.raises(InputError, match=r"deck is .*; allowed: a Nastran bulk data file"):
+    with refused("deck"):
         mbd.write_bdf(body, tmp_path / "none.bdf")
-    with pytest.raises(InputError, match="design is a float; allowed: a flexible body"):
+    with refused("design", 3.0):
         mbd.write_bdf(3.0, deck)
     rod = mbd.RigidBody("rod", 1.0, (1, 1, 1))
     with pytest.raises(InputError, match="must have a flexible body"):

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.extensions.vibrations.pictures.spectra import crossings
 
 SPEEDS = torch.linspace(0.0, 300.0, 31, dtype=torch.float64)
@@ -114,5 +115,5 @@ def test_wrong_arguments_are_named(change, message):
 
 
 def test_poles_of_another_number_are_refused():
-    with pytest.raises(mbd.InputError, match=r"poles has shape \(2, 1\); allowed: \(3, vibrations\)"):
+    with refused("poles"):
         mbd.viz.root_locus([1.0, 2.0, 3.0], [[1j], [2j]], "k [N/m]")
