@@ -43,5 +43,5 @@ def test_other_designs_are_refused(design):
 
 
 def test_a_multistart_without_a_feasible_design_is_refused():
-    with refused("design"):
+    with pytest.raises(InputError, match="must have a feasible design"):
         flexible_bodies("design", MultistartResult([], []))

@@ -13,6 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum, spoilt
+from tests.refused import refused
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.errors import InputError
 
@@ -422,5 +423,5 @@ def test_dual_levels_of_autograd(system, angles):
         result = forward_ad.unpack_dual(energy(system, x)).tangent
         assert_close(result, expected, rtol=1e-9, atol=0)
         for options in ({"gradients": "forward"}, {"method": "rk4"}):
-            with pytest.raises(InputError, match=rf"'{ANGLES}' is a dual number .*; allowed: torch.func.jvp"):
+            with refused(ANGLES):
                 mbd.simulate(system, 0.01, steps=8, designs={ANGLES: x}, **options)

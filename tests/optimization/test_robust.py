@@ -148,7 +148,7 @@ def test_what_it_refuses():
         RobustProblem(bowl(), 1.1)
     equal = bowl()
     equal.equalities = [0]
-    with refused("problem"):
+    with pytest.raises(InputError, match="equalities"):
         RobustProblem(equal, 0.1)
 
 

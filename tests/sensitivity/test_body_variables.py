@@ -15,6 +15,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, INERTIA, SOFT, box, finished, laminate, plate, tensor, turned
+from tests.refused import refused
 from tests.sensitivity.number_cases import differences
 from torchmbd.errors import InputError
 
@@ -213,7 +214,7 @@ def test_what_no_parameter_can_be_is_refused_by_name():
     slider = mbd.RigidBody(*body, position=parameter(0.0, 0.0, 0.0))
     slide = mbd.Drive(mbd.Ground().at(), slider.at(), axis="x", velocity=0.1)
     joint = mbd.Prismatic(mbd.Ground().at(), slider.at(), axis="x")
-    with pytest.raises(InputError, match=r"position of 'b' is a Parameter, but a displacement is measured from"):
+    with refused("b.position"):
         mbd.System([slider], [joint, slide])
 
 

@@ -132,5 +132,5 @@ def test_what_is_refused():
     with pytest.raises(mbd.InputError, match="whose nodes vary; allowed: one node"):
         rod.at([0, 1])
     system = arm(LINES["length"]())
-    with pytest.raises(mbd.InputError, match=r"length.*positive numbers"):
+    with refused("rod.line.length"):
         mbd.simulate(system, 0.01, steps=2, designs={"rod.line.length": tensor(-0.1)})

@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
+from tests.refused import refused
 from tests.sensitivity.number_cases import beam, check, check_native, hung, ply
 from torchmbd.fem.sections import Section
 
@@ -150,7 +151,7 @@ def test_a_problem_with_bounds_on_the_wall():
 
 def test_walls_that_do_not_fit_are_refused():
     system = hung(beam(SECTIONS["tube"]()), "start")
-    with pytest.raises(mbd.InputError, match=r"thickness.*positive"):
+    with refused("rod.section.thickness"):
         mbd.simulate(system, 0.01, steps=2, designs={"rod.section.thickness": tensor(-1e-3)})
     with pytest.raises(mbd.InputError, match="inside out"):
         mbd.simulate(system, 0.01, steps=2, designs={"rod.section.thickness": tensor(6e-3)})

@@ -158,7 +158,7 @@ class TestDoor:
         system = pendulum()
         with refused("parameter", "rod.laminate.angle", meant="rod.laminate.angles"):
             system.dynamics({"rod.laminate.angle": mbd.deg([[1.0, 2.0]])})
-        with pytest.raises(InputError, match=r"'rod.laminate.angles' has shape \(2,\); allowed: \[lanes, 2\]"):
+        with refused("rod.laminate.angles"):
             system.dynamics({"rod.laminate.angles": mbd.deg([1.0, 2.0])})
         with pytest.raises(InputError, match=r"rod.laminate.angles"):
             system.dynamics({}, tangents=["rod.laminate.angles"])
