@@ -40,27 +40,33 @@ def test_curvature_along_ways_takes_a_design_for_each():
     assert problem.batches == [(1, True), (2, True)]
 
 
-def test_a_saddle_on_the_way_is_left():
+METHODS = ["mmfd", "slsqp", "trust-constr", "mma", "ccsaq"]
+
+
+@pytest.mark.parametrize("method", [*METHODS, "lbfgs"])
+def test_a_saddle_on_the_way_is_left(method):
     """From x2 = 0 all gradients stay in the plane of symmetry, whose lowest point is a saddle."""
     problem = Analytic(
         "saddle", [2.0, 0.0], lambda x: x[0] ** 2 + x[1] ** 4 / 4 - x[1] ** 2 / 2 + 1, lower=-3, upper=3, optimum=0.75
     )
     assert optimize(problem, "mmfd", second_order=False).value == pytest.approx(1.0, abs=1e-6)
-    result = optimize(problem, "mmfd")
+    result = optimize(problem, method)
     assert result.status == "converged"
     assert result.value == pytest.approx(0.75, abs=1e-5)
 
 
-def test_a_maximum_on_a_bound_is_left():
+@pytest.mark.parametrize("method", [*METHODS, "lbfgs"])
+def test_a_maximum_on_a_bound_is_left(method):
     """A ply angle at -90 degrees: stationary by symmetry, on its bound, and the worst there is."""
     f = lambda x: 3 - np.cos(x[0] * np.pi / 90) - np.cos(x[1] * np.pi / 90)  # noqa: E731
     problem = Analytic("angles", [30.0, -90.0], f, lower=-90, upper=90)
-    result = optimize(problem, "mmfd")
+    result = optimize(problem, method)
     assert result.status == "converged"
     assert result.value == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_saddle_on_a_curved_constraint_is_left():
+@pytest.mark.parametrize("method", METHODS)
+def test_a_saddle_on_a_curved_constraint_is_left(method):
     """(-1, 0) on the unit circle is stationary, but x2^2 has a negative factor: down is along the circle."""
     problem = Analytic(
         "circle",
@@ -71,10 +77,35 @@ def test_a_saddle_on_a_curved_constraint_is_left():
         upper=[1.5, 1.5],
     )
     flat = optimize(problem, "mmfd", second_order=False)
-    result = optimize(problem, "mmfd")
+    result = optimize(problem, method)
     assert result.status == "converged"
     assert result.violation <= 1e-6
     assert result.value < flat.value - 0.1
+
+
+def test_a_saddle_on_an_equality_is_left():
+    """On the unit circle (-1, 0) is the farthest point from (2, 0), the maximum of the objective."""
+    circle = lambda x: [x[0] ** 2 + x[1] ** 2 - 1.0]  # noqa: E731
+    problem = Analytic("circle", [-1.0, 0.0], lambda x: ((x[0] - 2.0) ** 2 + x[1] ** 2) / 9, circle, lower=-2, upper=2)
+    problem.equalities = [0]
+    result = optimize(problem, "slsqp")
+    assert result.status == "converged"
+    assert result.value == pytest.approx(1 / 9, abs=1e-5)
+
+
+def test_a_search_goes_on_from_a_saddle_where_its_start_is_none():
+    """The start is close to the plane of symmetry: a package ends within its tolerance of the saddle."""
+    f = lambda x: (x[0] - 1.0) ** 2 + 2.0 - np.cos(2 * x[1])  # noqa: E731  a maximum at 90 degrees
+    problem = Analytic("ply", [2.0, np.pi / 2 - 1e-7], f, lower=[-3.0, -np.pi / 2], upper=[3.0, np.pi / 2])
+    result = optimize(problem, "slsqp")
+    assert result.status == "converged"
+    assert result.value == pytest.approx(1.0, abs=1e-4)
+
+
+def test_many_directions_are_not_measured():
+    problem = Analytic("bowl", [1.0] * 25, lambda x: (x**2).sum() + 1, lower=-3, upper=3)
+    assert optimize(problem, "slsqp").status == "converged"
+    assert max(count for count, _ in problem.batches) == 1
 
 
 def test_a_minimum_stays():

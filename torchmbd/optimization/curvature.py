@@ -1,9 +1,12 @@
 """Kuhn-Tucker points that are no minima, by the second derivatives of the Lagrangian along active constraints.
 
-A Kuhn-Tucker point is no minimum if s'H s < 0 for a direction s along the constraints and bounds that have a multiplier:
-a saddle point, or a maximum such as the ply angle of 90 degrees, where all gradients vanish by symmetry. No first-order method
-moves from a start that is one. So one more design is evaluated, near the start and inside the bounds: if it is better and
-feasible, the search begins there.
+A Kuhn-Tucker point is not a minimum if s'H s < 0 for a direction s along the constraints and bounds that have a multiplier:
+a saddle point, or a maximum such as the ply angle of 90 degrees, where all gradients vanish by symmetry.
+- No first-order method moves from a start that is one. So one more design is evaluated, near the start and inside the bounds:
+  if it is better and feasible, the search begins there (`perturb_stationary_start`).
+- First-order methods end in such points. So H is measured along these directions where a search has converged, by a design for
+  each direction, all in one batch. If it has a negative eigenvalue, the search goes on from a design along its vector
+  (`beyond_saddle`).
 
 Source: Nocedal and Wright, Numerical Optimization, section 12.5 (second-order conditions).
 Checked in tests/optimization/test_curvature.py.
@@ -14,12 +17,16 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import null_space
 
-from torchmbd.optimization.kkt import KuhnTucker
+from torchmbd.optimization.kkt import SMALLEST_OBJECTIVE, KuhnTucker
 from torchmbd.optimization.optimizer import Evaluation
 from torchmbd.optimization.search import Search
 
 # Step, as a share of each variable's size: the gradients of a simulation carry a relative noise of 1e-6.
 DIFFERENCE = 1e-3
+MOST_DIRECTIONS = 20  # along which H is measured: each takes a simulation
+GAIN = 1e-3  # of the objective, promised for a step of one along negative curvature: less is left
+LENGTHS = 1.0, 0.25, 0.0625  # of steps away from a saddle point, in the scaled variables
+REST = 1e-6  # of the objective: a fall of the merit function by less is rounding
 
 
 def lagrangian_gradient(evaluation: Evaluation, multipliers: np.ndarray) -> np.ndarray:
@@ -32,7 +39,7 @@ def lagrangian_gradient(evaluation: Evaluation, multipliers: np.ndarray) -> np.n
 def tangent_basis(gradients: np.ndarray, quality: KuhnTucker, threshold: float) -> np.ndarray:
     """Return an orthonormal basis [n, k] of the directions along constraints and bounds with multipliers above `threshold`."""
     bounds = np.eye(quality.bound_multipliers.size)[np.abs(quality.bound_multipliers) > threshold]
-    return null_space(np.vstack([gradients[quality.multipliers > threshold], bounds]))
+    return null_space(np.vstack([gradients[np.abs(quality.multipliers) > threshold], bounds]))
 
 
 def reduced_hessian(
@@ -76,3 +83,53 @@ def perturb_stationary_start(search: Search, first: Evaluation) -> tuple[np.ndar
         return y, first
     search.record(perturbed)
     return perturbed, evaluation
+
+
+def beyond_saddle(search: Search, y: np.ndarray, threshold: float) -> tuple[np.ndarray, Evaluation] | None:
+    """Return a design [n] beyond a Kuhn-Tucker point y that is a saddle point or a maximum, and its evaluation; else None.
+
+    The Lagrangian is lower there. Limits may be violated a little: the search goes on from there. None also where more than
+    MOST_DIRECTIONS would have to be measured.
+
+    threshold  multiplier from which a constraint or a bound is held
+    """
+    evaluation = search.evaluate(y, gradients=True)
+    quality = search.kuhn_tucker(evaluation, y)
+    assert evaluation.constraint_gradients is not None
+    held = np.concatenate([quality.multipliers, quality.bound_multipliers])
+    if y.size - int((np.abs(held) > threshold).sum()) > MOST_DIRECTIONS:
+        return None
+    Z = tangent_basis(evaluation.constraint_gradients, quality, threshold)
+    if not Z.shape[1]:
+        return None
+    reduced = reduced_hessian(search, y, evaluation, quality.multipliers, Z)
+    if reduced is None:
+        return None
+    values, vectors = np.linalg.eigh(reduced)
+    size = max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
+    s = Z @ vectors[:, 0]
+    s /= np.abs(s).max()
+    if -0.5 * values[0] * float(s @ s) <= GAIN * size:
+        return None
+    s *= np.sign(_room(search, y, s) - _room(search, y, -s)) or 1.0
+    least = _merit(evaluation, quality) - REST * size
+    for step in (sign * length * s for sign in (1.0, -1.0) for length in LENGTHS):
+        trial = np.clip(y + step, search.lower, search.upper)
+        there = search.evaluate(trial, gradients=True)
+        if there.ok and _merit(there, quality) < least:
+            return trial, there
+    return None
+
+
+def _room(search: Search, y: np.ndarray, s: np.ndarray) -> float:
+    """Return the largest t so that y + t s lies inside the bounds."""
+    ahead = np.where(s > 0.0, search.upper - y, y - search.lower)
+    return float(np.min(ahead[s != 0.0] / np.abs(s[s != 0.0]), initial=np.inf))
+
+
+def _merit(evaluation: Evaluation, quality: KuhnTucker) -> float:
+    """Return the Lagrangian, with a penalty for limits without a multiplier."""
+    c, weights = evaluation.constraints, quality.multipliers
+    free = weights == 0.0
+    penalty = max(1.0, float(np.abs(weights).max(initial=0.0)))
+    return evaluation.objective + float(weights @ c) + penalty * float(np.maximum(c[free], 0.0).sum())

@@ -8,7 +8,8 @@ divided by the value reached.
 Status: "converged" is a Kuhn-Tucker point. Packages stop where the objective no longer falls by their tolerance. Where it
 curves a lot, the Kuhn-Tucker conditions hold much nearer to the optimum than that, and a package that is run again has
 forgotten the curvature. So a few quadratic steps follow, with the curvature of the gradients that the search has seen
-(`last_steps`). Where they do not end in a Kuhn-Tucker point the package is run again, with smaller tolerances.
+(`last_steps`). Where they do not end in a Kuhn-Tucker point the package is run again, with smaller tolerances. From a
+Kuhn-Tucker point that is not a minimum the package is run again as well, from a design beyond it (curvature.py).
 Checked in tests/optimization/methods/test_adapters.py, and over the registry in tests/contracts/test_optimizers.py.
 """
 
@@ -19,13 +20,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchmbd.optimization.curvature import lagrangian_gradient, perturb_stationary_start
+from torchmbd.optimization.curvature import beyond_saddle, lagrangian_gradient, perturb_stationary_start
 from torchmbd.optimization.kkt import SMALLEST_OBJECTIVE
 from torchmbd.optimization.methods.direction import VariableMetric, find_direction
 from torchmbd.optimization.optimizer import Ending, Evaluation
 from torchmbd.optimization.search import Search
 
 RUNS = 4
+SADDLES = 3  # Kuhn-Tucker points that are no minima, which a search leaves
 SMALLEST_UNIT = 1e-9  # of the start's objective
 REST = 1e-8  # of the objective: a further run that lowers it by less is the last
 FAR_BELOW = 0.05  # of the objective at the start of a run
@@ -135,8 +137,8 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
         feasible = search.violation(evaluation) <= search.feasibility
         return Ending(y, "converged" if feasible else "infeasible", "the bounds fix all variables")
     failed: list[np.ndarray] = []
-    unit, message = 1.0, ""
-    for number in range(RUNS):
+    unit, message, number, saddles = 1.0, "", 0, 0
+    while number < RUNS:
         start = y
         remaining = max_iterations - (len(search.history) - 1)
         if remaining <= 0:
@@ -149,19 +151,26 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
         quality = search.kuhn_tucker(evaluation, y)
         feasible = search.violation(evaluation) <= search.feasibility
         reached = abs(evaluation.objective)
+        number += 1
         if feasible and stop.success and 0.0 < reached < FAR_BELOW * unit and quality.residual > kkt:
             unit = max(reached, SMALLEST_UNIT)
             continue
+        end = None
         if feasible and quality.residual <= kkt:
-            return Ending(y, "converged", message if stop.success else f"{message}: a Kuhn-Tucker point")
-        if feasible and stop.success and quality.residual <= NEAR * kkt:
+            end, message = y, message if stop.success else f"{message}: a Kuhn-Tucker point"
+        elif feasible and stop.success and quality.residual <= NEAR * kkt:
             end = last_steps(search, y, evaluation, kkt)
-            if end is not None:
-                return Ending(end, "converged", f"{message}: quadratic steps from there end in a Kuhn-Tucker point")
+            message = f"{message}: quadratic steps from there end in a Kuhn-Tucker point"
+        if end is not None:
+            beyond = beyond_saddle(search, end, kkt) if saddles < SADDLES else None
+            if beyond is None:
+                return Ending(end, "converged", message)
+            (y, evaluation), number, saddles = beyond, 0, saddles + 1
+            continue
         if (np.array_equal(start, y) or not feasible) and not failed and not stop.success:
             break
         least = REST * max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
-        if number and feasible and not failed and before.objective - evaluation.objective <= least:
+        if number > 1 and feasible and not failed and before.objective - evaluation.objective <= least:
             break
     return _ending(search, y if search.best is None else search.best, message, max_iterations)
 
