@@ -52,6 +52,13 @@ def test_equality_against_inequality():
     assert least.conflicting == [0, 1]
 
 
+def test_a_stationary_violation_that_is_not_the_least():
+    """All plies across the tube: the violation is stationary by symmetry, and largest there."""
+    problem = laminated_tube([1.0, -np.pi / 2, np.pi / 2, np.pi / 2])
+    least, _ = least_of(problem)
+    assert least.violation == 0.0
+
+
 def test_a_feasible_design_ends_the_search_for_one():
     problem = Analytic("disk", [4.0, 4.0], lambda x: x[0], lambda x: [x[0] ** 2 + x[1] ** 2 - 1], lower=-5, upper=5)
     least, _ = least_of(problem)

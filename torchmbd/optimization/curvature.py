@@ -6,13 +6,15 @@ a saddle point, or a maximum such as the ply angle of 90 degrees, where all grad
   if it is better and feasible, the search begins there (`perturb_stationary_start`).
 - First-order methods end in such points. So H is measured along these directions where a search has converged, by a design for
   each direction, all in one batch. If it has a negative eigenvalue, the search goes on from a design along its vector
-  (`beyond_saddle`).
+  (`beyond_saddle`). The search for the least infeasible design does the same (least_infeasible.py).
 
 Source: Nocedal and Wright, Numerical Optimization, section 12.5 (second-order conditions).
 Checked in tests/optimization/test_curvature.py.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import null_space
@@ -29,11 +31,11 @@ LENGTHS = 1.0, 0.25, 0.0625  # of steps away from a saddle point, in the scaled 
 REST = 1e-6  # of the objective: a fall of the merit function by less is rounding
 
 
-def lagrangian_gradient(evaluation: Evaluation, multipliers: np.ndarray) -> np.ndarray:
-    """Return the gradient of the Lagrangian [n]."""
+def lagrangian_gradient(evaluation: Evaluation, multipliers: np.ndarray, weight: float = 1.0) -> np.ndarray:
+    """Return the gradient of the Lagrangian [n]; weight: of the objective in it."""
     assert evaluation.objective_gradient is not None
     assert evaluation.constraint_gradients is not None
-    return evaluation.objective_gradient + evaluation.constraint_gradients.T @ multipliers
+    return weight * evaluation.objective_gradient + evaluation.constraint_gradients.T @ multipliers
 
 
 def tangent_basis(gradients: np.ndarray, quality: KuhnTucker, threshold: float) -> np.ndarray:
@@ -43,11 +45,16 @@ def tangent_basis(gradients: np.ndarray, quality: KuhnTucker, threshold: float) 
 
 
 def reduced_hessian(
-    search: Search, y: np.ndarray, evaluation: Evaluation, multipliers: np.ndarray, Z: np.ndarray
+    search: Search,
+    y: np.ndarray,
+    evaluation: Evaluation,
+    multipliers: np.ndarray,
+    Z: np.ndarray,
+    weight: float = 1.0,
 ) -> np.ndarray | None:
     """Return Z'H Z [k, k] by differences of gradients at k designs near y, in one batch; None if one of them fails.
 
-    Z  directions [n, k];  H  second derivatives of the Lagrangian at y [n, n]
+    Z  directions [n, k];  H  second derivatives of the Lagrangian at y [n, n];  weight: of the objective in it
     """
     steps = []
     for z in Z.T:  # positive if y + step z lies inside the bounds, else negative
@@ -56,13 +63,13 @@ def reduced_hessian(
         steps.append(step if inside else -step)
     neighbors = [np.clip(y + step * z, search.lower, search.upper) for step, z in zip(steps, Z.T, strict=True)]
     search.prefetch(neighbors)
-    gradient = lagrangian_gradient(evaluation, multipliers)
+    gradient = lagrangian_gradient(evaluation, multipliers, weight)
     rows = []
     for neighbor, step in zip(neighbors, steps, strict=True):
         near = search.evaluate(neighbor, gradients=True)
         if not near.ok:
             return None
-        rows.append((lagrangian_gradient(near, multipliers) - gradient) / step)
+        rows.append((lagrangian_gradient(near, multipliers, weight) - gradient) / step)
     reduced = np.array(rows).reshape(-1, y.size) @ Z
     return 0.5 * (reduced + reduced.T)
 
@@ -88,13 +95,28 @@ def perturb_stationary_start(search: Search, first: Evaluation) -> tuple[np.ndar
 def beyond_saddle(search: Search, y: np.ndarray, threshold: float) -> tuple[np.ndarray, Evaluation] | None:
     """Return a design [n] beyond a Kuhn-Tucker point y that is a saddle point or a maximum, and its evaluation; else None.
 
-    The Lagrangian is lower there. Limits may be violated a little: the search goes on from there. None also where more than
-    MOST_DIRECTIONS would have to be measured.
+    The Lagrangian is lower there. Limits may be violated a little: the search goes on from there.
 
     threshold  multiplier from which a constraint or a bound is held
     """
     evaluation = search.evaluate(y, gradients=True)
     quality = search.kuhn_tucker(evaluation, y)
+    size = max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
+    s = negative_curvature(search, y, quality, threshold, size)
+    return None if s is None else better_along(search, y, s, lambda there: _merit(there, quality), REST * size)
+
+
+def negative_curvature(
+    search: Search, y: np.ndarray, quality: KuhnTucker, threshold: float, size: float, weight: float = 1.0
+) -> np.ndarray | None:
+    """Return the direction [n] of the most negative curvature, its largest component one; None: there is none of account.
+
+    None also where more than MOST_DIRECTIONS would have to be measured.
+
+    size    of the function that is minimized: promised gains are compared with it
+    weight  of the objective in the Lagrangian; 0 where the violation is minimized
+    """
+    evaluation = search.evaluate(y, gradients=True)
     assert evaluation.constraint_gradients is not None
     held = np.concatenate([quality.multipliers, quality.bound_multipliers])
     if y.size - int((np.abs(held) > threshold).sum()) > MOST_DIRECTIONS:
@@ -102,21 +124,29 @@ def beyond_saddle(search: Search, y: np.ndarray, threshold: float) -> tuple[np.n
     Z = tangent_basis(evaluation.constraint_gradients, quality, threshold)
     if not Z.shape[1]:
         return None
-    reduced = reduced_hessian(search, y, evaluation, quality.multipliers, Z)
+    reduced = reduced_hessian(search, y, evaluation, quality.multipliers, Z, weight)
     if reduced is None:
         return None
     values, vectors = np.linalg.eigh(reduced)
-    size = max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
     s = Z @ vectors[:, 0]
     s /= np.abs(s).max()
-    if -0.5 * values[0] * float(s @ s) <= GAIN * size:
-        return None
-    s *= np.sign(_room(search, y, s) - _room(search, y, -s)) or 1.0
-    least = _merit(evaluation, quality) - REST * size
+    return s if -0.5 * values[0] * float(s @ s) > GAIN * size else None
+
+
+def better_along(
+    search: Search, y: np.ndarray, s: np.ndarray, merit: Callable[[Evaluation], float], least: float
+) -> tuple[np.ndarray, Evaluation] | None:
+    """Return the first design along s, at +- LENGTHS, whose merit is lower by more than `least`; None: there is none.
+
+    The side with more room inside the bounds comes first.
+    """
+    if _room(search, y, -s) > _room(search, y, s):
+        s = -s
+    limit = merit(search.evaluate(y)) - least
     for step in (sign * length * s for sign in (1.0, -1.0) for length in LENGTHS):
         trial = np.clip(y + step, search.lower, search.upper)
         there = search.evaluate(trial, gradients=True)
-        if there.ok and _merit(there, quality) < least:
+        if there.ok and merit(there) < limit:
             return trial, there
     return None
 

@@ -8,7 +8,8 @@ by steps d of a model in a trust region,
 
 B approximates the second derivatives of the constraints, weighed by the multipliers (direction.py). The multipliers at the end
 sum to one. No small change of the design reduces the violation of all constraints that have a multiplier: these conflict. The
-search ends at the first design with t <= 0, which is feasible after all.
+search ends at the first design with t <= 0, which is feasible after all. From a design where the violation is stationary but
+not a minimum, such as plies across a tube, it goes on along negative curvature (curvature.py).
 Source: Madsen, Minimax solution of non-linear equations without calculating derivatives, Math. Programming Study 3 (1975)
 110-126; Conn, Gould and Toint, Trust-region methods (2000), chapter 11.
 Checked in tests/optimization/test_least_infeasible.py.
@@ -20,13 +21,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchmbd.optimization.kkt import kuhn_tucker
+from torchmbd.optimization.curvature import better_along, negative_curvature
+from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimization.methods.direction import VariableMetric
 from torchmbd.optimization.methods.quadratic import QuadraticSolution, solve_quadratic
 from torchmbd.optimization.optimizer import Evaluation
 from torchmbd.optimization.search import Search
 
 ITERATIONS = 30
+SADDLES = 3  # stationary designs that are not minima, which the search leaves
 CONFLICT = 1e-2  # multiplier from which on a constraint counts as conflicting
 FIRST_RADIUS, LEAST_RADIUS = 0.5, 1e-6  # of the scaled variables
 REST = 1e-6  # promised fall of the violation, a share of it, at which the search has arrived
@@ -45,13 +48,30 @@ class LeastInfeasible:
 def least_infeasible(search: Search, y: np.ndarray) -> LeastInfeasible:
     """Minimize the largest violation from `y` (scaled), a design that is evaluated already."""
     sign, rows = _rows(search)
+    for _ in range(SADDLES + 1):
+        y = _descent(search, y, sign, rows)
+        evaluation = search.evaluate(y, gradients=True)
+        violation = search.violation(evaluation)
+        if violation <= search.feasibility:
+            return LeastInfeasible(y, violation, [])
+        quality = _quality(search, y, evaluation, sign, rows)
+        s = negative_curvature(search, y, quality, CONFLICT, violation, weight=0.0)
+        beyond = None if s is None else better_along(search, y, s, search.violation, REST * violation)
+        if beyond is None:
+            break
+        y = beyond[0]
+    return LeastInfeasible(y, violation, np.flatnonzero(np.abs(quality.multipliers) > CONFLICT).tolist())
+
+
+def _descent(search: Search, y: np.ndarray, sign: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the design at which the steps of the header end, or the first one without a violation."""
     evaluation = search.evaluate(y, gradients=True)
     violation = search.violation(evaluation)
     metric, radius = VariableMetric(search.size), FIRST_RADIUS
     metric.reset(FIRST_CURVATURE * violation)
     for _ in range(ITERATIONS):
         if violation <= search.feasibility:
-            return LeastInfeasible(y, violation, [])
+            break
         c, dc = _one_sided(evaluation, sign, rows)
         model = _step(c, dc, metric.B, np.maximum(search.lower - y, -radius), np.minimum(search.upper - y, radius))
         if model is None:
@@ -72,11 +92,18 @@ def least_infeasible(search: Search, y: np.ndarray) -> LeastInfeasible:
             metric.update(d, (_one_sided(trial, sign, rows)[1] - dc).T @ multipliers)
         if share > 0.0:
             y, evaluation, violation = y + d, trial, search.violation(trial)
+    return y
+
+
+def _quality(search: Search, y: np.ndarray, evaluation: Evaluation, sign: np.ndarray, rows: np.ndarray) -> KuhnTucker:
+    """Return multipliers of the constraints [m] and the bounds [n], and the residual, where the violation is minimized."""
+    violation = search.violation(evaluation)
     lifted = _lifted(evaluation, violation, sign, rows)
     lower, upper = np.append(search.lower, -violation), np.append(search.upper, 2.0 * violation)
     quality = kuhn_tucker(lifted, np.append(y, violation), lower, upper, np.zeros(rows.size, dtype=bool))
-    conflicting = sorted(set(rows[quality.multipliers > CONFLICT].tolist()))
-    return LeastInfeasible(y, violation, conflicting)
+    multipliers = np.zeros(search.equality.size)
+    np.add.at(multipliers, rows, sign * quality.multipliers)
+    return KuhnTucker(multipliers, quality.bound_multipliers[:-1], quality.residual)
 
 
 def _step(
