@@ -109,8 +109,10 @@ def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
     for name, x in batch.items():
         if not in_transform(x) and forward_ad.unpack_dual(x).tangent is not None:
             raise InputError(
-                f"{name!r} is a dual number of torch.autograd.forward_ad, in which no tangents can be integrated; allowed: "
-                "torch.func.jvp, or method 'generalized_alpha' without phases with gradients='auto' or 'reverse'"
+                (name,),
+                allowed="torch.func.jvp, or method 'generalized_alpha' without phases with gradients='auto' or 'reverse'",
+                noun=repr(name),
+                state="is a dual number of torch.autograd.forward_ad, in which no tangents can be integrated",
             )
 
 
@@ -199,7 +201,9 @@ def _check_lanes(name: str, x: Tensor, good: Tensor, allowed: str) -> None:
     """InputError for the first lane of a design [lanes, ...] that is not good."""
     if not all_true(good):
         lane = int(torch.nonzero(~good.reshape(len(x), -1).all(1))[0])
-        raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: {allowed}")
+        raise InputError(
+            (name,), allowed=allowed, noun=f"design {name!r}", state=f"of lane {lane} is {x[lane].tolist()}"
+        )
 
 
 def checked_variables(system: System, variables: Any) -> list[str]:

@@ -97,7 +97,9 @@ def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, ad
     if design_bytes <= free:
         most = int((free - _shared(steps)) / lane_bytes(system, steps, tangents, adjoint))
         raise InputError(
-            f"designs have {lanes} lanes, of {steps} steps: they take {sizes}; allowed: up to {_rounded(most)} lanes at once"
+            "designs",
+            allowed=f"up to {_rounded(most)} lanes at once",
+            state=f"have {lanes} lanes, of {steps} steps: they take {sizes}",
         )
     fixed, each = (lane_bytes(system, k, tangents, adjoint) for k in (0, 1))
     most = int((free - _shared(steps) - fixed) / (each - fixed))

@@ -289,7 +289,9 @@ def _assigned(mac: np.ndarray) -> dict[int, int]:
 def _velocity(sensor: Any) -> Velocity:
     """The velocity of a point whose position or displacement a sensor shows: of a mode its component there."""
     if not isinstance(sensor, Position):
-        raise InputError(f"sensors has {sensor!r}; allowed: positions, such as mbd.Position('arm', 'z', node='right')")
+        raise InputError(
+            "sensors", allowed="positions, such as mbd.Position('arm', 'z', node='right')", state=f"has {sensor!r}"
+        )
     seen_from = sensor.observer if isinstance(sensor, Displacement) else sensor.seen_from
     return Velocity(sensor.body, sensor.axis, sensor.node, sensor.point, seen_from, sensor.axes)
 

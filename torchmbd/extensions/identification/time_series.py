@@ -165,7 +165,9 @@ def _times(table: Table, time: str) -> np.ndarray:
         raise InputError("time", time, "s, ms", noun=f"unit of the times {time!r}", shown=f"of [{si}]")
     t = table.columns[time] if factor == 1.0 else factor * table.columns[time]
     if not len(t):
-        raise InputError(f"data has no rows{f': {table.file}' if table.file else ''}; allowed: one time at least")
+        raise InputError(
+            "data", allowed="one time at least", state=f"has no rows{f': {table.file}' if table.file else ''}"
+        )
     wrong = np.flatnonzero(~np.isfinite(t))
     if len(wrong):
         noun, value = f"{table.row(int(wrong[0]))}: time {time!r}", float(t[wrong[0]])

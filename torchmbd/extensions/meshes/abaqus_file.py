@@ -70,7 +70,9 @@ class AbaqusFile:
             return
         for name in set(self.elsets) - {""}:
             if name in self._sets:
-                raise InputError(f"ELSET {name!r} stands in *ELEMENT and in *ELSET; allowed: in one of both")
+                raise InputError(
+                    (name,), allowed="in one of both", noun=f"ELSET {name!r}", state="stands in *ELEMENT and in *ELSET"
+                )
             blocks = zip(self.elsets, source.cells, strict=True)
             source.cell_sets[name] = [np.arange(len(cells.data) if elset == name else 0) for elset, cells in blocks]
 

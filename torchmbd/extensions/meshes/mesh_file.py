@@ -83,7 +83,7 @@ def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
     """Convert a meshio.Mesh."""
     points = torch.from_numpy(np.asarray(source.points, dtype=np.float64)) * scale
     if points.ndim != 2 or not 1 <= points.shape[1] <= 3:
-        raise InputError(f"points are an array {list(points.shape)}; allowed: [n, 2] or [n, 3]")
+        raise InputError("points", allowed="[n, 2] or [n, 3]", state=f"are an array {list(points.shape)}")
     points = torch.cat([points, points.new_zeros(len(points), 3 - points.shape[1])], dim=1)
     kinds = {kind: [torch.empty(0, width, dtype=torch.long)] for kind, width in _CELLS.items()}
     owner = {kind: [torch.empty(0, 2, dtype=torch.long)] for kind in _CELLS}  # (block, number in it) of each cell
@@ -101,7 +101,9 @@ def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
         raise InputError("the mesh has no triangles or quadrilaterals")
     if int(used[0]) < 0 or int(used[-1]) >= len(points):
         raise InputError(
-            f"cells have the nodes {int(used[0])} to {int(used[-1])} of {len(points)}; allowed: nodes of the file"
+            "cells",
+            allowed="nodes of the file",
+            state=f"have the nodes {int(used[0])} to {int(used[-1])} of {len(points)}",
         )
     new_index = torch.full((len(points),), -1, dtype=torch.long)
     new_index[used] = torch.arange(len(used))

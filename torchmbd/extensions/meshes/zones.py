@@ -31,7 +31,9 @@ def zone_parts(
         if name not in zones:
             raise unknown("zone", name, zones)
         if not name.isidentifier():
-            raise InputError(f"zone {name!r} becomes part of parameter names; allowed: a Python identifier")
+            raise InputError(
+                (name,), allowed="a Python identifier", noun=f"zone {name!r}", state="becomes part of parameter names"
+            )
         count[zones[name]] += 1
         parts[name] = Plates(mesh, layup, direction, zones[name], mass)
     wrong = torch.nonzero(count != 1)[:, 0]

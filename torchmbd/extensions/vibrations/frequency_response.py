@@ -120,7 +120,9 @@ class Responses(AboutState):
             right = N @ torch.linalg.solve(Z, (N.T @ f.to(s.dtype))[None])
             left = N @ torch.linalg.solve(Z.mH, N.T @ y.mH)
         except RuntimeError as error:  # of torch.linalg
-            raise InputError(f"frequencies has a pole without damping ({error}); allowed: others [Hz]") from None
+            raise InputError(
+                "frequencies", allowed="others [Hz]", state=f"has a pole without damping ({error})"
+            ) from None
         back = torch.linalg.pinv(rest.Phi_q[:, active].T, rtol=RELATIVE).to(s.dtype)
         force, slip = back @ (f - P @ right), back @ (y.mH - P.mH @ left)
         outputs, inputs = y.shape[1], f.shape[1]

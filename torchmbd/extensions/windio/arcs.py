@@ -53,7 +53,10 @@ class LayerArcs:
             return span_values(f"{side}_nd_arc of {name}", arc)(position)
         if "width" not in layer or depth > len(self._layers):
             raise InputError(
-                f"layer {name!r} has no {side}_nd_arc; allowed: start_nd_arc and end_nd_arc, or one and width"
+                (name,),
+                allowed="start_nd_arc and end_nd_arc, or one and width",
+                noun=f"layer {name!r}",
+                state=f"has no {side}_nd_arc",
             )
         width = span_values(f"width of {name}", layer["width"])(position, 0.0) / profile.around
         beside = self.layer(name, other, position, profile, len(self._layers) + 1)

@@ -130,7 +130,10 @@ def profile_section(
         if low < 0.0 or high > 1.0:
             low, high = profile.from_middle(low), profile.from_middle(high)
             raise InputError(
-                f"web {web.name!r} reaches from {low:.4f} to {high:.4f} of the contour; allowed: 0 to 1, with its thickness"
+                (web.name,),
+                allowed="0 to 1, with its thickness",
+                noun=f"web {web.name!r}",
+                state=f"reaches from {low:.4f} to {high:.4f} of the contour",
             )
     s = _stations(profile, layers, [foot for pair in feet for foot in pair], cells)
     middles = 0.5 * (s[:-1] + s[1:])
@@ -163,8 +166,11 @@ def _require_room(web: Web, wall: list[Patch], group: list[Patch], order: int) -
         patch_mesh([*wall, *group], order)
     except InputError as error:
         raise InputError(
-            f"web {web.name!r} from {web.start:.4f} to {web.end:.4f} of the contour has no room between the walls "
-            f"({str(error).partition(';')[0]}); allowed: from one side to the other"
+            (web.name,),
+            allowed="from one side to the other",
+            noun=f"web {web.name!r}",
+            state=f"from {web.start:.4f} to {web.end:.4f} of the contour has no room between the walls "
+            f"({str(error).partition(';')[0]})",
         ) from None
 
 
@@ -307,7 +313,10 @@ def _web_patches(web: Web, feet: tuple[Array, Array], s: Array, faces: list[Arra
         down = [columns[round(float(x), 9)] for x in feet[1]]
     except KeyError:
         raise InputError(
-            f"web {web.name!r} at {web.start:.4f} and {web.end:.4f} of the contour meets others there; allowed: webs apart"
+            (web.name,),
+            allowed="webs apart",
+            noun=f"web {web.name!r}",
+            state=f"at {web.start:.4f} and {web.end:.4f} of the contour meets others there",
         ) from None
     patches = []
     for j, (number, _) in enumerate(reversed(web.layers)):

@@ -89,7 +89,10 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
             for i, x in enumerate(values):
                 if x is not None and places.setdefault(6 * node + i, x) != x:
                     raise InputError(
-                        f"supports of {name!r} put {FREEDOMS[i]} of node {node} at two places; allowed: one"
+                        (name, "supports"),
+                        allowed="one",
+                        noun=f"supports of {name!r}",
+                        state=f"put {FREEDOMS[i]} of node {node} at two places",
                     )
     imposed = torch.zeros(6 * len(line.nodes), dtype=torch.float64)
     imposed[list(places)] = torch.tensor(list(places.values()), dtype=torch.float64)

@@ -83,8 +83,10 @@ class SpanSections:
             places = untransformed(rule.at).reshape(-1, *rule.at.shape[-2:])[0]
             element, place = int(rule.span[k // count]), float(places[k // count, k % count])
             raise InputError(
-                f"section of {self.name!r} at {place:.3g} of its length (element {element}) is not positive definite; "
-                "allowed: a stiffness that does work in every strain"
+                (self.name, "section"),
+                allowed="a stiffness that does work in every strain",
+                noun=f"section of {self.name!r}",
+                state=f"at {place:.3g} of its length (element {element}) is not positive definite",
             )
         return matrices
 

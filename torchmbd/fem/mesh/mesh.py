@@ -221,4 +221,4 @@ class NodeCloud(Mesh):
         for name, members in {"lines": self.lines.flatten().tolist(), **self.node_sets}.items():
             for k in members:
                 if not 0 <= k < len(nodes):
-                    raise InputError(f"{name!r} has node {k}; allowed: 0 to {len(nodes) - 1}")
+                    raise InputError((name,), allowed=f"0 to {len(nodes) - 1}", noun=repr(name), state=f"has node {k}")

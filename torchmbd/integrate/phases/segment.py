@@ -222,7 +222,12 @@ def _check_order(phases: Sequence[Phase], names: Sequence[str], duration: float)
     """InputError unless every phase but the last has an end, at increasing times."""
     for name, phase in zip(names[:-1], phases[:-1], strict=True):
         if phase.until is None and phase.lasting is None:
-            raise InputError(f"phase {name!r} never ends; allowed: until or lasting for every phase but the last")
+            raise InputError(
+                (name,),
+                allowed="until or lasting for every phase but the last",
+                noun=f"phase {name!r}",
+                state="never ends",
+            )
     if phases[-1].until is not None or phases[-1].lasting is not None:
         raise InputError(
             f"phase {names[-1]!r} is the last and has an end of its own; allowed: the last phase lasts until the "

@@ -132,7 +132,12 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.origin = mesh.nodes[self.reference].mean(0)
         if varying_nodes(mesh):
             if links:
-                raise InputError(f"nodes of {name!r} vary, and some are linked; allowed: numbers, or no links")
+                raise InputError(
+                    (name, "nodes"),
+                    allowed="numbers, or no links",
+                    noun=f"nodes of {name!r}",
+                    state="vary, and some are linked",
+                )
             self.add_module("line", mesh.node_module)  # pyright: ignore[reportAttributeAccessIssue]
         self._register(parts)
         self.assembly = Assembly(mesh, joined, self.reference, links, interfaces.means)
@@ -155,7 +160,12 @@ class FlexibleBody(MatrixMethods, nn.Module):
             for child, module in modules.items():
                 name = child if len(owners) == 1 else key if len(modules) == 1 else f"{key}_{child}"
                 if hasattr(self, name):
-                    raise InputError(f"part {name!r} of {self.name!r} has a name that is taken; allowed: any other")
+                    raise InputError(
+                        (name,),
+                        allowed="any other",
+                        noun=f"part {name!r}",
+                        state=f"of {self.name!r} has a name that is taken",
+                    )
                 self.add_module(name, module)
 
     @property
@@ -189,7 +199,12 @@ class FlexibleBody(MatrixMethods, nn.Module):
     def matrices(self) -> PlateMatrices:
         """The element matrices of a body of one laminate."""
         if len(self.plates) != 1:
-            raise InputError(f"{self.name!r} has {len(self.plates)} laminated parts; allowed: plates[name].matrices")
+            raise InputError(
+                (self.name,),
+                allowed="plates[name].matrices",
+                noun=repr(self.name),
+                state=f"has {len(self.plates)} laminated parts",
+            )
         return next(iter(self.plates.values())).matrices
 
     @classmethod

@@ -70,8 +70,10 @@ class GivenMatrices:
         matrices = [x.matrix for x in (*read, *further)]
         if any(x.shape != (len(self.freedoms),) * 2 for x in matrices):
             raise InputError(
-                f"matrices of {name!r} have the shapes {', '.join(str(x.shape) for x in matrices)}; "
-                f"allowed: {len(self.freedoms)} rows and columns, one for each freedom of {len(positions)} nodes"
+                (name, "matrices"),
+                allowed=f"{len(self.freedoms)} rows and columns, one for each freedom of {len(positions)} nodes",
+                noun=f"matrices of {name!r}",
+                state=f"have the shapes {', '.join(str(x.shape) for x in matrices)}",
             )
         self.pattern, values = _common_pattern(self.freedoms, matrices, 6 * len(positions))
         self.mesh = mesh_of(name, nodes, positions, node_sets, self._lines(positions))
@@ -180,7 +182,12 @@ def _positions(name: str, nodes: Any, read: Sequence[LabeledMatrix]) -> tuple[li
         )
     labels = sorted({label for matrix in read if matrix.rows is not None for label, _ in matrix.rows})
     if labels and len(labels) != len(x):
-        raise InputError(f"matrices of {name!r} refer to {len(labels)} nodes; allowed: {len(x)}, the nodes given")
+        raise InputError(
+            (name, "matrices"),
+            allowed=f"{len(x)}, the nodes given",
+            noun=f"matrices of {name!r}",
+            state=f"refer to {len(labels)} nodes",
+        )
     return labels or None, x
 
 
@@ -199,7 +206,10 @@ def _freedoms(
     if freedoms is None:
         if size not in (3 * n, 6 * n):
             raise InputError(
-                f"matrices of {name!r} have {size} rows for {n} nodes; allowed: {3 * n} or {6 * n}, or `freedoms`"
+                (name, "matrices"),
+                allowed=f"{3 * n} or {6 * n}, or `freedoms`",
+                noun=f"matrices of {name!r}",
+                state=f"have {size} rows for {n} nodes",
             )
         freedoms = size // n
     if freedoms in (3, 6):

@@ -93,7 +93,9 @@ class Interfaces:
 
     def _add_named(self, name: str, mesh: Any, key: Any, item: Any) -> None:
         if not isinstance(key, str) or not key:
-            raise InputError(f"interface of {name!r} has the name {key!r}; allowed: a word")
+            raise InputError(
+                (name, "interface"), allowed="a word", noun=f"interface of {name!r}", state=f"has the name {key!r}"
+            )
         mount = self._add(name, mesh, item if isinstance(item, Interface) else Interface(item))
         if key in mesh.node_sets and sorted(node_indices(mesh, key)) != sorted(mount.nodes):
             raise InputError(
@@ -105,11 +107,21 @@ class Interfaces:
         nodes = node_indices(mesh, item.nodes)
         mount = InterpolationConstraint.on(nodes, item.weights)
         if len(set(nodes)) != len(nodes):
-            raise InputError(f"interface of {name!r} has a node twice: {nodes}; allowed: each node once")
+            raise InputError(
+                (name, "interface"),
+                allowed="each node once",
+                noun=f"interface of {name!r}",
+                state=f"has a node twice: {nodes}",
+            )
         if len(nodes) == 1:
             self.kept += nodes
         elif varying_nodes(mesh):
-            raise InputError(f"interface of {name!r} has several nodes, and nodes vary; allowed: single nodes")
+            raise InputError(
+                (name, "interface"),
+                allowed="single nodes",
+                noun=f"interface of {name!r}",
+                state="has several nodes, and nodes vary",
+            )
         elif item.rigid:
             self.kept.append(nodes[0])
             self.links += [RigidLink(node, nodes[0]) for node in nodes[1:]]

@@ -115,7 +115,9 @@ def rigid_links(mesh: Any, sets: Sequence[str | Sequence[int]]) -> list[RigidLin
     for node_set in sets:
         leader, *others = node_indices(mesh, node_set)
         if not others:
-            raise InputError(f"rigid has the set {node_set!r} of one node; allowed: sets of two nodes at least")
+            raise InputError(
+                "rigid", allowed="sets of two nodes at least", state=f"has the set {node_set!r} of one node"
+            )
         links += [RigidLink(node, leader) for node in others]
     return links
 

@@ -138,16 +138,26 @@ class MatrixMethods:
         with torch.no_grad():
             if self.given_structure is not None:
                 if not isinstance(self.given_structure, MatrixStructure):
-                    raise InputError(f"{body.name!r} was reduced elsewhere; allowed: a body of elements or matrices")
+                    raise InputError(
+                        (body.name,),
+                        allowed="a body of elements or matrices",
+                        noun=repr(body.name),
+                        state="was reduced elsewhere",
+                    )
                 M, K = self.given_structure.matrices.now()
             else:
                 if not body.assembly.freedoms.plain:
                     raise InputError(
-                        f"nodes of {body.name!r} are linked; allowed: a body without links, or save_reduced"
+                        (body.name, "nodes"),
+                        allowed="a body without links, or save_reduced",
+                        noun=f"nodes of {body.name!r}",
+                        state="are linked",
                     )
                 K, M = matrices(Assembly(self.mesh, body.assembly.parts))
         if K.values.dim() > 1:
-            raise InputError(f"{body.name!r} has {K.values.shape[0]} designs at once; allowed: one")
+            raise InputError(
+                (body.name,), allowed="one", noun=repr(body.name), state=f"has {K.values.shape[0]} designs at once"
+            )
         mass = M.pattern.to_scipy(M.values) if isinstance(M, SparseMatrix) else scipy.sparse.diags_array(M.numpy())
         return scipy.sparse.csr_array(mass), scipy.sparse.csr_array(K.pattern.to_scipy(K.values))
 

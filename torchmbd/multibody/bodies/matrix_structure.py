@@ -195,9 +195,11 @@ class MatrixStructure:
         if float(share.max()) > RIGID:
             motion = ("translation x", "translation y", "translation z", "rotation x", "rotation y", "rotation z")
             raise InputError(
-                f"K of {self.name!r} resists a rigid {motion[int(share.argmax())]} (forces {float(share.max()):.1e} of "
-                "their parts); allowed: the matrix of the body without supports, rows in the order of the nodes, in "
-                "the units of the nodes"
+                (self.name, "K"),
+                allowed="the matrix of the body without supports, rows in the order of the nodes, in the units of the "
+                "nodes",
+                noun=f"K of {self.name!r}",
+                state=f"resists a rigid {motion[int(share.argmax())]} (forces {float(share.max()):.1e} of their parts)",
             )
         masses = torch.einsum("ni,ni->i", rigid[:, :3], M @ rigid[:, :3])
         if not float(masses.min()) > 0 or float(masses.max() - masses.min()) > ISOTROPIC * float(masses.max()):
@@ -247,7 +249,12 @@ class MatrixStructure:
             turning.T.numpy(), mode="economic", pivoting=True
         )
         if abs(R[2, 2]) < 1e-9 * abs(R[0, 0]):
-            raise InputError(f"nodes of {self.name!r} lie on a line and have no rotations; allowed: a body in space")
+            raise InputError(
+                (self.name, "nodes"),
+                allowed="a body in space",
+                noun=f"nodes of {self.name!r}",
+                state="lie on a line and have no rotations",
+            )
         return [node], [*first, *(int(k) for k in order[:3])]
 
     def _given_shapes(self, modes: Any) -> Float[Tensor, "6n m"]:
@@ -273,8 +280,10 @@ class MatrixStructure:
         values = torch.linalg.eigvalsh(structure["Kr"]).reshape(-1)
         if float(values[0]) <= 1e-12 * float(values[-1]):
             raise InputError(
-                f"modes of {self.name!r} contain one without stiffness (eigenvalues {float(values[0]):g} to "
-                f"{float(values[-1]):g} 1/s2); allowed: deformations, no rigid motion"
+                (self.name, "modes"),
+                allowed="deformations, no rigid motion",
+                noun=f"modes of {self.name!r}",
+                state=f"contain one without stiffness (eigenvalues {float(values[0]):g} to {float(values[-1]):g} 1/s2)",
             )
         first = math.sqrt(float(values[0])) / (2.0 * math.pi)
         density, sound = mass / size**3, first * size

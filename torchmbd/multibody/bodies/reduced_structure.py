@@ -112,7 +112,10 @@ class ReducedStructure:
             )
         if max(float((K2 - K2.transpose(0, k)).abs().max()) for k in (1, 2)) > NORMAL * float(K2.abs().max()):
             raise InputError(
-                f"K2 of {self.name!r} changes with the order of its axes; allowed: derivatives of an energy"
+                (self.name, "K2"),
+                allowed="derivatives of an energy",
+                noun=f"K2 of {self.name!r}",
+                state="changes with the order of its axes",
             )
         return K2
 

@@ -159,7 +159,12 @@ def _check_constants(name: str, equation: Equation) -> None:
     refuse_gradients(f"a constant of {name!r} ({kind})", equation.data)
     values = equation.data if isinstance(equation.data, (tuple, list)) else (equation.data,)
     if len(values) != count or not all(is_real(x) and math.isfinite(x) for x in values):
-        raise InputError(f"constants of {name!r} ({kind}) are {equation.data!r}; allowed: {count} finite numbers")
+        raise InputError(
+            (name, "constants"),
+            allowed=f"{count} finite numbers",
+            noun=f"constants of {name!r}",
+            state=f"({kind}) are {equation.data!r}",
+        )
 
 
 def _actions(force: ForceElement, attachments: AttachmentTable, number: dict[int, int]) -> list[Applied]:
@@ -180,7 +185,12 @@ def _check_kinds(owner: Joint | ForceElement, parts: list[Part], base: type, kin
         if not (isinstance(part.kind, type) and issubclass(part.kind, base)):
             names = ", ".join(kind.__name__ for kind in kinds)
             name = getattr(part.kind, "__name__", repr(part.kind))
-            raise InputError(f"{owner.name!r} has the kind {name!r}; allowed: {names}, or another {base.__name__}")
+            raise InputError(
+                (owner.name,),
+                allowed=f"{names}, or another {base.__name__}",
+                noun=repr(owner.name),
+                state=f"has the kind {name!r}",
+            )
     return parts
 
 

@@ -156,8 +156,10 @@ class GroundObserver(SteadyRotation):
     def perturbed(self, T: Topology, q: Tensor, x: Any, xd: Any, xdd: Any) -> tuple[Any, Any, Any]:
         if T.flexible:
             raise InputError(
-                f"observer is 'ground' with body {T.names[0]!r}, whose modes turn with it; allowed: flexible beams "
-                "(mbd.FlexibleBeam) and rigid bodies, or observer='turning', who sees whirl at other frequencies"
+                "observer",
+                allowed="flexible beams (mbd.FlexibleBeam) and rigid bodies, or observer='turning', who sees whirl at "
+                "other frequencies",
+                state=f"is 'ground' with body {T.names[0]!r}, whose modes turn with it",
             )
         v, a = self.rates(T, q)
         A = rotation_matrix(equations.split_q(T, q)[1])

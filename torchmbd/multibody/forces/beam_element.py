@@ -63,7 +63,12 @@ class BeamElement(ForceElement):
         self.damping = nonnegative(f"damping of {self.name!r}", damping, "s")
         self.rest = _screw(a, b)
         if float(self.rest[3:].norm()) > LARGEST:
-            raise InputError(f"frames of {self.name!r} are turned by more than {LARGEST} rad; allowed: less")
+            raise InputError(
+                (self.name, "frames"),
+                allowed="less",
+                noun=f"frames of {self.name!r}",
+                state=f"are turned by more than {LARGEST} rad",
+            )
 
     @property
     def variables(self) -> ParameterVector | None:
@@ -105,9 +110,11 @@ def _check_stiffness(name: str, K: Tensor) -> None:
 def _check(name: str, frame: Frame) -> None:
     allowed = "frames of rigid bodies without design variables, and of the ground"
     if frame.interpolation is not None:
-        raise InputError(f"{name!r} ends at {frame!r}, on a flexible body; allowed: {allowed}")
+        raise InputError((name,), allowed=allowed, noun=repr(name), state=f"ends at {frame!r}, on a flexible body")
     if frame.varying is not None or isinstance(frame.body.position, nn.Parameter):
-        raise InputError(f"{name!r} ends at {frame!r}, whose place varies with the design; allowed: {allowed}")
+        raise InputError(
+            (name,), allowed=allowed, noun=repr(name), state=f"ends at {frame!r}, whose place varies with the design"
+        )
 
 
 def _screw(a: Frame, b: Frame) -> Tensor:

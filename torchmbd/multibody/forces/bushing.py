@@ -67,7 +67,12 @@ class Bushing(ForceElement):
         self.along = self._springs("", stiffness, damping)
         self.about = self._springs("turning_", turning_stiffness, turning_damping)
         if all(law == _Mount() for law in (*self.along, *self.about)):
-            raise InputError(f"{self.name!r} has neither stiffness nor damping; allowed: at least one of them")
+            raise InputError(
+                (self.name,),
+                allowed="at least one of them",
+                noun=repr(self.name),
+                state="has neither stiffness nor damping",
+            )
 
     def _springs(self, kind: str, *values: Any) -> list[Any]:
         """The laws of the three axes: of stiffness and damping."""

@@ -60,7 +60,9 @@ class _Stop(_Contact):
         self.axis = axis
         limits = {side: x for side, x in (("lower", lower), ("upper", upper)) if x is not None}
         if not limits:
-            raise InputError(f"{self.name!r} has neither lower nor upper; allowed: at least one of them")
+            raise InputError(
+                (self.name,), allowed="at least one of them", noun=repr(self.name), state="has neither lower nor upper"
+            )
         numbers = limits | {"stiffness": stiffness, "damping": damping, "exponent": exponent}
         module = ContactNumbers(self.name, numbers)
         values = [float(number(getattr(module, side))) for side in limits]

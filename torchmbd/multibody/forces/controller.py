@@ -89,7 +89,11 @@ def _check(control: Control) -> None:
     for name, p in control.module.named_parameters():
         if p.dtype != torch.float64:
             raise InputError(
-                f"parameter {name!r} of the {control.label} is {p.dtype}; allowed: torch.float64. Try: .double()"
+                (name,),
+                allowed="torch.float64",
+                noun=f"parameter {name!r}",
+                state=f"of the {control.label} is {p.dtype}",
+                hint=".double()",
             )
     refuse_lost_gradients(control.label, control.module, VARIABLES, control.module)
     with torch.inference_mode(False), torch.enable_grad():

@@ -354,7 +354,10 @@ def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
             f = law(*at)
     except Exception as error:  # a function of users may raise any error
         raise InputError(
-            f"law of {name!r} raises {error!r} in {user_line(error)}; allowed: a torch function of {len(at)} tensors"
+            (name, "law"),
+            allowed=f"a torch function of {len(at)} tensors",
+            noun=f"law of {name!r}",
+            state=f"raises {error!r} in {user_line(error)}",
         ) from error
     refuse_gradients(f"what the law of {name!r} returns", f, VARIABLES)
     return f

@@ -37,9 +37,19 @@ class _Between(ForceElement):
         numbers: Any = (stiffness, damping, rest)  # of which some may vary
         spring = self.law_variables.law(Spring(*numbers))
         if law is not None and spring != Spring():
-            raise InputError(f"{self.name!r} has a law and stiffness, damping or rest; allowed: the one or the others")
+            raise InputError(
+                (self.name,),
+                allowed="the one or the others",
+                noun=repr(self.name),
+                state="has a law and stiffness, damping or rest",
+            )
         if law is None and spring == Spring(rest=getattr(spring, "rest", 0.0)):
-            raise InputError(f"{self.name!r} has neither law nor stiffness nor damping; allowed: at least one of them")
+            raise InputError(
+                (self.name,),
+                allowed="at least one of them",
+                noun=repr(self.name),
+                state="has neither law nor stiffness nor damping",
+            )
         self.law = check_law(self.name, spring if law is None else self.law_variables.law(law))
 
 

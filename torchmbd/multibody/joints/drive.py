@@ -64,7 +64,10 @@ class Drive(Joint):
         laws = {key: x for key, x in laws.items() if x is not None}
         if len(laws) != 1:
             raise InputError(
-                f"{self.name!r} has {laws or 'no law'}; allowed: exactly one of speed, angle, velocity, position"
+                (self.name,),
+                allowed="exactly one of speed, angle, velocity, position",
+                noun=repr(self.name),
+                state=f"has {laws or 'no law'}",
             )
         ((key, x),) = laws.items()
         self.axis, self.travels = self.common_axis(axis), key in ("velocity", "position")

@@ -156,8 +156,11 @@ class AttachmentTable:
         for body in (frame.body, other.body):
             if isinstance(body.position, nn.Parameter):
                 raise InputError(
-                    f"position of {body.name!r} is a Parameter, but a displacement is measured from where {frame!r} and "
-                    f"{other!r} are at the given positions; allowed: a position without a gradient"
+                    (body.name, "position"),
+                    allowed="a position without a gradient",
+                    noun=f"position of {body.name!r}",
+                    state=f"is a Parameter, but a displacement is measured from where {frame!r} and {other!r} are at the "
+                    "given positions",
                 )
         ground = frame.body.position + frame.body.axes @ frame.point
         return self._add(other.body, other.body.axes.T @ (ground - other.body.position), other.interpolation, True)
@@ -234,8 +237,11 @@ class Joint:
         axis_a, axis_b = a.body.axes @ a.axis(axis), b.body.axes @ b.axis(axis)
         if not torch.equal(b.axes, torch.eye(3, dtype=torch.float64)) and float((axis_a - axis_b).norm()) > 0.1:
             raise InputError(
-                f"axes of {self.name!r} contradict: at the given positions {axis!r} is {_shown(axis_a)} by {a!r} "
-                f"and {_shown(axis_b)} by {b!r}; allowed: the same direction, or no axes on the second frame"
+                (self.name, "axes"),
+                allowed="the same direction, or no axes on the second frame",
+                noun=f"axes of {self.name!r}",
+                state=f"contradict: at the given positions {axis!r} is {_shown(axis_a)} by {a!r} and {_shown(axis_b)} "
+                f"by {b!r}",
             )
         return axis
 

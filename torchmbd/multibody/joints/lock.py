@@ -52,7 +52,12 @@ class Lock(Joint):
         self.of = joint.name
         self.freedoms = freedoms(joint)
         if not self.freedoms:
-            raise InputError(f"{joint.name!r} cannot be locked: it leaves no freedom; allowed: a joint that moves")
+            raise InputError(
+                (joint.name,),
+                allowed="a joint that moves",
+                noun=repr(joint.name),
+                state="cannot be locked: it leaves no freedom",
+            )
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         vectors = attachments.vectors

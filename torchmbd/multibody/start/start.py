@@ -121,7 +121,9 @@ class Start:
         counts = [len(x) for x in self.state or ()]
         counts += [len(x) for name, x in self.numbers.items() if x.dim() > _rank(name)]
         if not {1, max(counts, default=1)}.issuperset(counts):
-            raise InputError(f"start has lanes {sorted(set(counts))}; allowed: the same number for all, or one")
+            raise InputError(
+                "start", allowed="the same number for all, or one", state=f"has lanes {sorted(set(counts))}"
+            )
         return max(counts, default=1)
 
     def conditions(self, T: Topology, bodies: list[Any]) -> InitialConditions:

@@ -42,7 +42,10 @@ class SupportedBody:
         if body.given_structure is not None:
             lack = "no freedoms to support" if vibrating else "no stress"
             raise InputError(
-                f"body {body.name!r} of {what} is made of matrices, which give {lack}; allowed: one of elements"
+                (body.name,),
+                allowed="one of elements",
+                noun=f"body {body.name!r}",
+                state=f"of {what} is made of matrices, which give {lack}",
             )
         if not vibrating:
             check_stressed(body.name, what, body.parts)
@@ -118,7 +121,10 @@ def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, 
             for i, x in enumerate(values):
                 if x is not None and imposed.setdefault(6 * node + i, x) != x:
                     raise InputError(
-                        f"supports of {body.name!r} put {FREEDOMS[i]} of node {node} at two places; allowed: one"
+                        (body.name, "supports"),
+                        allowed="one",
+                        noun=f"supports of {body.name!r}",
+                        state=f"put {FREEDOMS[i]} of node {node} at two places",
                     )
     return imposed
 

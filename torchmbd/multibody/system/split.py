@@ -98,12 +98,20 @@ def _line(body: Any) -> BeamLine:
     if not isinstance(body, FlexibleBody):
         raise InputError("body", body, allowed, noun="body of split")
     if not all(isinstance(part, Beams) for part in body.parts.values()) or not body.parts or body.links:
-        raise InputError(f"body {body.name!r} of split is not a beam; allowed: {allowed}")
+        raise InputError((body.name,), allowed=allowed, noun=f"body {body.name!r}", state="of split is not a beam")
     if any(given_velocities(body)) or has_modal_start(body) or isinstance(body.position, nn.Parameter):
-        raise InputError(f"body {body.name!r} of split has motion or position of its own; allowed: {allowed}")
+        raise InputError(
+            (body.name,),
+            allowed=allowed,
+            noun=f"body {body.name!r}",
+            state="of split has motion or position of its own",
+        )
     if body.damping.ratios is not None or body.damping.rate != 0.0:
         raise InputError(
-            f"body {body.name!r} of split has damping ratios, or a rate; allowed: `damping` in proportion to stiffness"
+            (body.name,),
+            allowed="`damping` in proportion to stiffness",
+            noun=f"body {body.name!r}",
+            state="of split has damping ratios, or a rate",
         )
     line: BeamLine = body.mesh
     chain = torch.arange(len(line.nodes))

@@ -162,7 +162,10 @@ class System(nn.Module):
                 taken = names.count(element.name) > 1 or hasattr(self, name) or hasattr(StateEquation, name)
                 if taken or "." in name:
                     raise InputError(
-                        f"{element.name!r} has design variables; allowed: a name of its own, without a point"
+                        (element.name,),
+                        allowed="a name of its own, without a point",
+                        noun=repr(element.name),
+                        state="has design variables",
                     )
                 self.add_module(name, module)
 
