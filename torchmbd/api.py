@@ -73,6 +73,7 @@ from torchmbd.multibody.forces import (
     RotationalSpringDamper,
     RotationalStop,
     SpringDamper,
+    Temperature,
     Torque,
     signals,
 )
@@ -246,6 +247,7 @@ __all__ = [
     "Strength",
     "Study",
     "System",
+    "Temperature",
     "Torque",
     "Tradeoff",
     "Trajectory",

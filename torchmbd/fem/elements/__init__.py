@@ -8,12 +8,13 @@ from torchmbd.fem.elements.beams import Beams
 from torchmbd.fem.elements.cell_stiffness import ELEMENTS
 from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
 from torchmbd.fem.elements.links import Average, Combination, Follower, RigidLink
-from torchmbd.fem.elements.part import GivenElements, MassPoints, Part, PointMasses
+from torchmbd.fem.elements.part import CHANGES, ExpandingPart, GivenElements, MassPoints, Part, PointMasses
 from torchmbd.fem.elements.plate import PlateMatrices, PlyBasis, ply_basis, ply_points
 from torchmbd.fem.elements.plates import MASSES, Plates, merge_plates
 from torchmbd.fem.elements.strains import FREEDOMS
 
 __all__ = [
+    "CHANGES",
     "ELEMENTS",
     "FREEDOMS",
     "MASSES",
@@ -24,6 +25,7 @@ __all__ = [
     "BeamSection",
     "Beams",
     "Combination",
+    "ExpandingPart",
     "Follower",
     "Freedoms",
     "GivenElements",

@@ -9,7 +9,7 @@ Checked in tests/fem/elements/test_assembly.py, tests/extensions/nastran/test_el
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -20,6 +20,11 @@ from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.sparse import Pattern
+
+
+#: Kinds of change -> unit: of the temperature where the nodes are, per meter along the normal of a plate or the z-axis of a
+#: section, per meter along the y-axis of a section; of the moisture, a share of the mass.
+CHANGES = {"temperature": "K", "gradient": "K/m", "gradient_y": "K/m", "moisture": "-"}
 
 
 class MassPoints(NamedTuple):
@@ -69,6 +74,20 @@ class LosingPart(Part, Protocol):
 
     def loss_values(self, entries: Int[Tensor, " k"] | None) -> Float[Tensor, "*lanes nnz"]:
         """The derivative of `values` where the moduli of each ply grow by its loss factor."""
+        ...
+
+
+@runtime_checkable
+class ExpandingPart(Part, Protocol):
+    """A part that expands with temperature or moisture; `changes`: the kinds of change that it knows, of `CHANGES`."""
+
+    changes: ClassVar[tuple[str, ...]]
+
+    def expansion_forces(self, change: str) -> Float[Tensor, "*lanes n 6"]:
+        """Forces and moments on all nodes that cause the free expansion by a unit change [N, N m per unit].
+
+        Raises InputError for a ply, or a section, without the coefficient.
+        """
         ...
 
 

@@ -251,6 +251,28 @@ class PlateMatrices:
             fields.append(strains)
         return torch.cat(fields, dim=-3)
 
+    def expansion_forces(
+        self, loads: Float[Tensor, "*lanes 6"], mean: Float[Tensor, "*lanes 3"] | None = None
+    ) -> Float[Tensor, "*lanes n 6"]:
+        """Return forces and moments on all nodes that cause the strains of these loads (N, M), constant in each cell.
+
+        loads   of one laminate [*lanes, 6], or of several [*lanes, laminates, 6];  mean: `moved_mean`
+        """
+        lanes = loads.shape[: -2 if self.several else -1]
+        cells = loads[..., self.zones, :] if self.several else loads[..., None, :].expand(*lanes, len(self.zones), 6)
+        total = loads.new_zeros(*lanes, len(self.mesh.nodes), 6)
+        parts = cells.split([len(group.shape) for group in self.kinds.values()], -2)
+        for group, part, (cell, variant) in zip(self.kinds.values(), parts, self.variants, strict=True):
+            if mean is None:
+                rows = _membrane_and_bending(group.strains)[group.shape]
+            else:
+                moved = group.moved(cell, self.of_lanes(mean, mean.shape[: -2 if self.several else -1]))
+                rows = _membrane_and_bending(moved)
+                rows = rows.unflatten(0, (*mean.shape[: -2 if self.several else -1], -1)).index_select(-3, variant)
+            forces = (rows.mT @ part[..., None])[..., 0].unflatten(-1, (-1, 6))  # [*lanes, m, corners, 6]
+            total = total.index_add(-2, group.corners.flatten(), forces.flatten(-3, -2))
+        return total
+
     def _center_rows(
         self, group: Cells, cell: CellStiffness, variant: Tensor, mean: Float[Tensor, "*lanes 3"] | None
     ) -> list[Tensor]:
@@ -271,6 +293,12 @@ class PlateMatrices:
         """
         per_area = torch.stack([mass_per_area] * 3 + [rotary_inertia_per_area] * 3, dim=-1)
         return (self.area[:, None] * per_area[..., None, :]).flatten(-2)
+
+
+def _membrane_and_bending(strains: Strains) -> Float[Tensor, "m 6 f"]:
+    """Integrals of the membrane strains and curvatures of every cell, as rows on its freedoms."""
+    points = strains.weight.shape[1] if strains.forces is None else 4  # further points have strains of drilling freedoms
+    return (strains.at[:, :points, :6] * strains.weight[:, :points, None, None]).sum(1)
 
 
 class PlyBasis(NamedTuple):

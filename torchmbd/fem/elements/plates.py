@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float, Int
@@ -49,6 +49,8 @@ class Plates:
     mass        "lumped" or "consistent"
     zones       which of several laminates each of the cells is made of
     """
+
+    changes: ClassVar[tuple[str, ...]] = ("temperature", "gradient", "moisture")
 
     def __init__(
         self,
@@ -146,6 +148,12 @@ class Plates:
         """The cells under the membrane forces of k motions."""
         laminate = self.laminate
         return stressed_shells(self.matrices, laminate.entries(), motion, self.matrices.moved_mean(laminate))
+
+    def expansion_forces(self, change: str) -> Float[Tensor, "*lanes n 6"]:
+        """Forces and moments on all nodes that cause the free expansion by a unit change."""
+        laminate = self.laminate
+        held = laminate.held_expansion(**{change: 1.0})
+        return self.matrices.expansion_forces(torch.cat([held.force, held.moment], -1), self.matrices.moved_mean(laminate))
 
     def modules(self) -> dict[str, nn.Module]:
         """The laminate."""

@@ -50,6 +50,18 @@ class Expansion(NamedTuple):
     stress: Float[Tensor, "*lanes layers 2 3"]
 
 
+class HeldExpansion(NamedTuple):
+    """Loads and stresses that would cause the free strains of a laminate; a laminate that is held carries the opposite ones.
+
+    force      N [..., 3] [N/m], moment M [..., 3] [N]
+    stress     11, 22, 12 of each layer at its bottom and top, from the bottom of the stack [..., layers, 2, 3] [Pa]
+    """
+
+    force: Float[Tensor, "*lanes 3"]
+    moment: Float[Tensor, "*lanes 3"]
+    stress: Float[Tensor, "*lanes layers 2 3"]
+
+
 class FreeStrains(NamedTuple):
     """Free strains 11, 22, 12 of each layer in its axes: at z = 0, and by height [1/m]."""
 
@@ -97,31 +109,41 @@ def _coefficients(plies: Sequence[Any], change: str) -> Float[Tensor, "*lanes la
     return torch.stack(lanes, -2)
 
 
-def free_expansion(
+def held_expansion(
     strains: FreeStrains,
     T: Float[Tensor, "*lanes layers 3 3"],
     Q: Float[Tensor, "*lanes layers 3 3"],
     faces: Float[Tensor, "*lanes layers 2"],
     moments: tuple[Tensor, Tensor, Tensor],
-    ABD: tuple[Tensor, Tensor, Tensor],
-) -> Expansion:
-    """Return the expansion of a laminate.
+) -> HeldExpansion:
+    """Return loads and stresses that would cause the free strains.
 
     T        strains in plate axes to ply axes
     Q        stiffness of the layers in their axes [Pa]
     faces    heights of bottom and top of each layer [m]
     moments  integrals of 1, z, z^2 over each layer
-    ABD      plate stiffness [..., 3, 3]
     """
-    middle, slope = ((T.mT @ (Q @ x[..., None]))[..., 0] for x in strains)  # stresses of held layers in plate axes
+    plies = [(Q @ x[..., None])[..., 0] for x in strains]
+    middle, slope = ((T.mT @ x[..., None])[..., 0] for x in plies)  # in plate axes
     H0, H1, H2 = (h[..., None] for h in moments)
     force, moment = (middle * H0 + slope * H1).sum(-2), (middle * H1 + slope * H2).sum(-2)
+    return HeldExpansion(force, moment, plies[0][..., None, :] + faces[..., None] * plies[1][..., None, :])
+
+
+def free_expansion(
+    held: HeldExpansion,
+    T: Float[Tensor, "*lanes layers 3 3"],
+    Q: Float[Tensor, "*lanes layers 3 3"],
+    faces: Float[Tensor, "*lanes layers 2"],
+    ABD: tuple[Tensor, Tensor, Tensor],
+) -> Expansion:
+    """Return the expansion of a laminate out of what would cause its free strains; ABD: plate stiffness [..., 3, 3]."""
+    force, moment, stress = held
     A, B, D = ABD
     matrix = torch.cat([torch.cat([A, B], -1), torch.cat([B, D], -1)], -2)
     loads = torch.cat([force, moment], -1)
     strain, curvature = torch.linalg.solve(matrix.expand(*loads.shape[:-1], 6, 6), loads).split(3, -1)
     z = faces[..., None]
     total = strain[..., None, None, :] + z * curvature[..., None, None, :]
-    free = strains.middle[..., None, :] + z * strains.slope[..., None, :]
-    elastic = torch.einsum("...kij,...kfj->...kfi", T, total) - free
-    return Expansion(force, moment, strain, curvature, torch.einsum("...kij,...kfj->...kfi", Q, elastic))
+    elastic = torch.einsum("...kij,...kfj->...kfi", Q @ T, total)
+    return Expansion(force, moment, strain, curvature, elastic - stress)

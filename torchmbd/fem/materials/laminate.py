@@ -38,7 +38,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, keyword_hints, true_or_false
-from torchmbd.fem.materials.expansion import Expansion, free_expansion, free_strains
+from torchmbd.fem.materials.expansion import Expansion, HeldExpansion, free_expansion, free_strains, held_expansion
 from torchmbd.fem.materials.laminate_checks import checked_angles, checked_correction, checked_plies, checked_thickness
 from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
@@ -227,11 +227,23 @@ class Laminate(nn.Module):
         >>> strip.curvature[0].item() < -5.0, strip.stress.shape  # [1/m]; layers, their bottom and top, (11, 22, 12) [Pa]
         (True, torch.Size([2, 2, 3]))
         """
-        strains = free_strains(self.layer_plies, temperature, gradient, moisture)
+        held = self.held_expansion(temperature, gradient, moisture)
         T, _ = strain_rotations(self.layer_angles)
         Q, _ = self.layer_stiffness
         A, B, D, _ = self.stiffness()
-        return free_expansion(strains, T, Q, self.faces, self._moments(), (A, B, D))
+        return free_expansion(held, T, Q, self.faces, (A, B, D))
+
+    def held_expansion(
+        self, temperature: float | Tensor = 0.0, gradient: float | Tensor = 0.0, moisture: float | Tensor = 0.0
+    ) -> HeldExpansion:
+        """Return loads and ply stresses that would cause the free strains after a change; arguments as of `expansion`.
+
+        A laminate that is held without strain carries the opposite ones.
+        """
+        strains = free_strains(self.layer_plies, temperature, gradient, moisture)
+        T, _ = strain_rotations(self.layer_angles)
+        Q, _ = self.layer_stiffness
+        return held_expansion(strains, T, Q, self.faces, self._moments())
 
     def shear_shape(self) -> ShearShape:
         """Return the stresses through the thickness of unit transverse shear forces."""

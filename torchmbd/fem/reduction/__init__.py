@@ -10,6 +10,7 @@ from torchmbd.fem.reduction.invariants import inertia_invariants
 from torchmbd.fem.reduction.registry import REDUCTIONS, CraigBampton, Reduction, VibrationModes
 from torchmbd.fem.reduction.spectral import eigenvalues, spectral_function
 from torchmbd.fem.reduction.static import StaticLoads
+from torchmbd.fem.reduction.static_shapes import StaticShapes
 
 __all__ = [
     "REDUCTIONS",
@@ -21,6 +22,7 @@ __all__ = [
     "ModalBasis",
     "Reduction",
     "StaticLoads",
+    "StaticShapes",
     "VibrationModes",
     "constraint_modes",
     "craig_bampton",

@@ -40,6 +40,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER, Matrix, ModalBasis, fixed_modes, modal_basis
 from torchmbd.fem.reduction.constraint_modes import constraint_modes, interface_freedoms, interior, interior_freedoms
 from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.gradients import untransformed
 from torchmbd.math.sparse import SparseMatrix
 
 
@@ -82,20 +83,20 @@ def craig_bampton(
         T = torch.cat([T, Phi], -1)
         pad = torch.nn.functional.pad
         stiffness = torch.cat([pad(stiffness, (0, width)), pad(inner.stiffness, (len(held), 0))], -2)
-    mass = T.mT @ _times(M, T)
-    mass = (mass + mass.mT) / 2
-    if T.shape[-1] > len(held) + n:  # lanes with fewer modes are padded
-        return _padded(T, stiffness, mass)
-    small = modal_basis(stiffness, mass, T.shape[-1])
-    return ModalBasis(T @ small.vectors, small.stiffness)
+    mass = T.mT @ times(M, T)
+    return small_basis(T, stiffness, (mass + mass.mT) / 2)
 
 
-def _padded(T: Tensor, stiffness: Tensor, mass: Tensor) -> ModalBasis:
-    """The basis where columns of T may be padding, which is zero in the basis too.
+def small_basis(T: Tensor, stiffness: Tensor, mass: Tensor) -> ModalBasis:
+    """Return the basis of the span of T [..., N, m] by (1); stiffness T' K T and mass T' M T.
 
-    Padding has unit mass and a frequency above all others, so that its modes are the last ones of the small problem, alone.
+    Columns of T may be padding, of lanes with fewer modes; it is zero in the basis too. Padding has unit mass and a frequency
+    above all others, so that its modes are the last ones of the small problem, alone.
     """
-    padding = (T.detach() == 0.0).all(-2)
+    padding = untransformed((T.detach() == 0.0).all(-2))
+    if not bool(padding.any()):
+        small = modal_basis(stiffness, mass, T.shape[-1])
+        return ModalBasis(T @ small.vectors, small.stiffness)
     unit = torch.diag_embed(padding.to(T.dtype))
     highest = (
         torch.linalg.solve(mass.detach() + unit, stiffness.detach()).diagonal(dim1=-2, dim2=-1).sum(-1)
@@ -107,7 +108,7 @@ def _padded(T: Tensor, stiffness: Tensor, mass: Tensor) -> ModalBasis:
     return ModalBasis(T @ vectors, torch.where(both, small.stiffness, 0.0))
 
 
-def _times(M: Matrix, X: Tensor) -> Tensor:
+def times(M: Matrix, X: Tensor) -> Tensor:
     """M X [..., N, k]."""
     if isinstance(M, SparseMatrix):
         return M @ X

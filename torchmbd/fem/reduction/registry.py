@@ -4,7 +4,8 @@
     "vibration"        the m lowest modes of the body fixed at its reference (basis.py)              m
     "craig-bampton"    constraint modes of interface freedoms, m fixed-interface modes               i + m
 
-m is the number n that was requested, or up to MORE more: each design is cut in a wide gap (cut.py).
+m is the number n that was requested, or up to MORE more: each design is cut in a wide gap (cut.py). Static shapes, such as
+those of a change of temperature, are added to both (static_shapes.py).
 
 A reduction maps K and M of the free freedoms to a basis that is orthonormal in M and a full reduced stiffness, with exact
 derivatives. `updated=False` holds the basis fixed while the stiffness is differentiated (eq. 36): the fixed-mode approach
@@ -14,13 +15,15 @@ Checked in tests/fem/reduction/test_craig_bampton.py, tests/sensitivity/test_eig
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction.basis import Matrix, ModalBasis, modal_basis
+from torchmbd.fem.reduction.basis import Matrix, ModalBasis, fixed_modes, modal_basis
 from torchmbd.fem.reduction.craig_bampton import craig_bampton
+from torchmbd.fem.reduction.static_shapes import StaticShapes
+from torchmbd.math.sparse import SparseMatrix
 
 MORE = 4  # modes that meet: bending in two planes, torsion and extension, and one of the next
 
@@ -40,13 +43,24 @@ class VibrationModes:
     n: int
     interface: Sequence[int] = ()
     updated: bool = True
+    shapes: StaticShapes | None = None
 
     def __post_init__(self) -> None:
         if self.interface:
             raise InputError("interface", allowed="none with reduction 'vibration'", state="is given")
 
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
-        return modal_basis(K, M, self.n, updated=self.updated, more=MORE)
+        return _with_shapes(self, K, M, lambda K, M, updated: modal_basis(K, M, self.n, updated=updated, more=MORE))
+
+    @property
+    def fewest(self) -> int:
+        """Least number of modes of a design."""
+        return self.n + self.kept
+
+    @property
+    def kept(self) -> int:
+        """Number of shapes beside the n modes."""
+        return 0 if self.shapes is None else self.shapes.count
 
 
 @dataclass(frozen=True)
@@ -56,13 +70,43 @@ class CraigBampton:
     n: int
     interface: Sequence[int] = ()
     updated: bool = True
+    shapes: StaticShapes | None = None
 
     def __post_init__(self) -> None:
         if not self.interface:
             raise InputError("interface", allowed="at least one node with reduction 'craig-bampton'", state="is empty")
 
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
-        return craig_bampton(K, M, self.n, self.interface, updated=self.updated, more=MORE)
+        def reduce(K: Matrix, M: Matrix, updated: bool) -> ModalBasis:
+            return craig_bampton(K, M, self.n, self.interface, updated=updated, more=MORE)
+
+        return _with_shapes(self, K, M, reduce)
+
+    @property
+    def fewest(self) -> int:
+        """Least number of modes of a design."""
+        return self.n + self.kept
+
+    @property
+    def kept(self) -> int:
+        """Number of shapes beside the n modes."""
+        return len(self.interface) + (0 if self.shapes is None else self.shapes.count)
+
+
+def _with_shapes(
+    reduction: VibrationModes | CraigBampton, K: Matrix, M: Matrix, reduce: Callable[[Matrix, Matrix, bool], ModalBasis]
+) -> ModalBasis:
+    """The basis of a reduction with its static shapes."""
+    shapes = reduction.shapes
+    if shapes is None:
+        return reduce(K, M, reduction.updated)
+    if not isinstance(K, SparseMatrix):
+        raise InputError("K", K, "a SparseMatrix, for static shapes")
+
+    def whole(K: Any, M: Matrix) -> ModalBasis:
+        return shapes(reduce(K, M, True), K, M)
+
+    return whole(K, M) if reduction.updated else fixed_modes(K, M, whole)
 
 
 REDUCTIONS: dict[str, type[VibrationModes] | type[CraigBampton]] = {

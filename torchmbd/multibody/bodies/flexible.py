@@ -39,6 +39,7 @@ from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.fem.reduction.registry import MORE
 from torchmbd.math.sparse import SparseMatrix
+from torchmbd.multibody.bodies.expansion import Expansion
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.flexible_beam import FlexibleBeam
 from torchmbd.multibody.bodies.frame import (
@@ -73,7 +74,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
     parts   name -> part of the assembly
     links   nodes that follow others
     rigid   sets of nodes that move as one rigid body each; frames and interfaces may be on the first node, which leads the set
-    name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated, stiffening   as in `plate`
+    name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated, stiffening, expansion   as in `plate`
 
     >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
     >>> plate = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
@@ -109,6 +110,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         links: Sequence[Follower] = (),
         rigid: Sequence[str | Sequence[int]] = (),
         stiffening: bool = False,
+        expansion: bool | str | Sequence[str] = False,
     ):
         super().__init__()
         self.name = identifier("flexible body", name)
@@ -145,7 +147,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self._rotations = FittedRotations.of(self.assembly)
         self.interfaces = interfaces.frames
         kept = interfaces.kept
-        self.reduction, self.modes = reduced(name, self.assembly, reduction, modes, kept, self.reference, updated)
+        self.expansion, self.expansion_zones = Expansion(name, self.parts, self.assembly), expansion
+        shapes = self.expansion.shapes(expansion)
+        self.reduction, self.modes = reduced(name, self.assembly, reduction, modes, kept, self.reference, updated, shapes)
         stiffens = true_or_false(f"stiffening of {name!r}", stiffening)
         self.stiffening = Stiffening(name, self.assembly) if stiffens else None
         self.damping = ModalDamping(name, damping)
@@ -174,8 +178,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reduction = getattr(self.given_structure, "reduction", None) or getattr(self, "reduction", None)
         if reduction is None:
             return range(self.modes, self.modes + 1)
-        fewest = reduction.n + len(reduction.interface)
-        return range(fewest, fewest + MORE + 1)
+        return range(reduction.fewest, reduction.fewest + MORE + 1)
 
     @property
     def is_held_at_a_point(self) -> bool:
@@ -224,6 +227,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass: str = "lumped",
         rigid: Sequence[str | Sequence[int]] = (),
         stiffening: bool = False,
+        expansion: bool | str | Sequence[str] = False,
         direction: Sequence[float] | Tensor | MaterialAxes | Mapping[str, Any] = (1.0, 0.0, 0.0),
     ) -> FlexibleBody:
         """A laminated plate or shell.
@@ -244,11 +248,13 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass            "lumped" (eq. 2), or "consistent", for comparison
         rigid           node sets that move as one rigid body each
         stiffening      True: displacements of second order, so that spin and forces of joints stiffen it (stiffening.py)
+        expansion       True: static shapes of changes of temperature and moisture beside the modes, for mbd.Temperature; names of
+                        parts that change alone: those of each (expansion.py)
         direction       the laminate's x-axis in mesh axes, projected into each cell: [3], one for each [m, 3], or a rule for
                         curved shells: mbd.mesh.around, mbd.mesh.along, mbd.mesh.in_system, or {"around": {"axis": [0, 0, 1]}}
         """
         parts = {"plate": Plates(mesh, laminate, direction, mass=mass)}
-        options = (position, axes, reference, damping, reduction, interface, updated, (), rigid, stiffening)
+        options = (position, axes, reference, damping, reduction, interface, updated, (), rigid, stiffening, expansion)
         body = cls(name, mesh, parts, modes, *options)
         warn_slender(name, mesh, body.plates.values())
         return body
@@ -272,6 +278,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         twist: float | Sequence | Tensor = 0.0,
         mass: str = "lumped",
         stiffening: bool = False,
+        expansion: bool | str | Sequence[str] = False,
     ) -> FlexibleBody:
         """A beam of straight elements or arcs; it may have branches.
 
@@ -295,7 +302,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         for k, cross_section in enumerate(dict.fromkeys(sections)):
             members = [e for e, s in enumerate(sections) if s is cross_section]
             parts[f"section{k}"] = Beams(line, cross_section, orientation, offset, twist, members, mass)
-        options = (position, axes, reference, damping, reduction, interface, updated, (), (), stiffening)
+        options = (position, axes, reference, damping, reduction, interface, updated, (), (), stiffening, expansion)
         return cls(name, line, parts, modes, *options)
 
     exact_beam = FlexibleBeam  # of finite displacements and rotations, without modes

@@ -33,6 +33,7 @@ class MatrixMethods:
 
     given_structure: MatrixStructure | ReducedStructure | None = None
     stiffening: Any = None
+    expansion: Any = None
     mesh: Any
     origin: Any
     structure: Any

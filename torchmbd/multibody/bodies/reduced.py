@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, true_or_false, unknown
 from torchmbd.fem.elements import Assembly, MassPoints
-from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, Matrix, VibrationModes
+from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, Matrix, StaticShapes, VibrationModes
 from torchmbd.fem.reduction.elimination import IndefiniteStiffness
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import Pattern, SparseMatrix
@@ -51,9 +51,10 @@ def reduced(
     interface: Sequence[int],
     reference: Sequence[int],
     updated: bool,
+    shapes: StaticShapes | None = None,
 ) -> tuple[VibrationModes | CraigBampton, int]:
     """The reduction of a kind to `modes` modes, or a few more, and the number of the first design; arguments as of
-    `FlexibleBody.plate`.
+    `FlexibleBody.plate`. Static shapes are added to the modes.
 
     Raises InputError for a kind that does not exist, a number of modes that the mesh does not have, and interface nodes
     that are references or come twice.
@@ -70,7 +71,13 @@ def reduced(
     try:
         reduction = REDUCTIONS[kind](int(modes), held, updated)
         with torch.no_grad():
-            return reduction, reduction(*matrices(assembly)).stiffness.shape[-1]
+            K, M = matrices(assembly)
+            basis = reduction(K, M)
+            if shapes is not None:
+                shapes.choose(basis, K, M)
+                reduction = replace(reduction, shapes=shapes)
+                basis = reduction(K, M)
+            return reduction, basis.stiffness.shape[-1]
     except IndefiniteStiffness as error:
         raise InputError(f"reduction of {name!r}: {error}. {_place(assembly, error.row)}") from None
     except InputError as error:

@@ -47,7 +47,7 @@ def enrich(body: Any, modes: int) -> bool:
     with torch.no_grad():
         K, M = matrices(body.assembly) if structure is None else structure.pencil()
         before = body.reduction if structure is None else structure.reduction
-        kept, most = modes - len(before.interface), K.size - len(before.interface)
+        kept, most = modes - before.kept, K.size - before.kept
         n = min(max(kept + LEAST, math.ceil(MORE * kept)), most)
         if n <= kept:
             return False
@@ -110,6 +110,7 @@ def refine(body: Any) -> None:
         updated=body.reduction.updated,
         rigid=[middles.with_middles(node_indices(body.mesh, nodes)) for nodes in rigid],
         stiffening=body.stiffening is not None,
+        expansion=body.expansion_zones,
     )
     finer.damping = body.damping
     for name in _OF_START:

@@ -17,6 +17,7 @@ from torchmbd.multibody.forces.laws import Friction, Gap, OfTime, Pieces, Scaled
 from torchmbd.multibody.forces.load import Force, Torque
 from torchmbd.multibody.forces.pressure import Pressure
 from torchmbd.multibody.forces.spring_damper import AxialSpringDamper, RotationalSpringDamper, SpringDamper
+from torchmbd.multibody.forces.temperature import Temperature
 
 FORCES: dict[str, type[ForceElement]] = {
     kind.__name__.lower(): kind
@@ -32,6 +33,7 @@ FORCES: dict[str, type[ForceElement]] = {
         RotationalSpringDamper,
         RotationalStop,
         SpringDamper,
+        Temperature,
         Torque,
     )
 }
@@ -58,5 +60,6 @@ __all__ = [
     "Spring",
     "SpringDamper",
     "Table",
+    "Temperature",
     "Torque",
 ]

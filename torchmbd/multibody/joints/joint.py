@@ -61,6 +61,12 @@ class Attached:
         on_nodes = self.is_point and self.interpolation is not None and varying_nodes(self.body.mesh)
         return on_nodes or self.varying is not None
 
+    @property
+    def key(self) -> tuple:
+        """Key that is equal for equal vectors."""
+        axis = self.axis if self.varying is not None else ""
+        return id(self.body), self.interpolation, self.is_point, tuple(self.vector.tolist()), id(self.varying), axis
+
     def now(self) -> Tensor:
         """The vector in the present design [*lanes, 3]."""
         if self.varying is not None and self.is_point:
@@ -125,11 +131,14 @@ class AttachmentTable:
     ) -> int:
         if varying is not None and axis and not varying.record.turns:
             varying = None
-        key = (id(body), interpolation, is_point, tuple(vector.tolist()), id(varying), axis if varying else "")
-        if key not in self._index:
-            self._index[key] = len(self.vectors)
-            self.vectors.append(Attached(body, vector, interpolation, is_point, varying, axis, matrix))
-        return self._index[key]
+        return self.add(Attached(body, vector, interpolation, is_point, varying, axis, matrix))
+
+    def add(self, attached: Attached) -> int:
+        """Index of an attached vector."""
+        if attached.key not in self._index:
+            self._index[attached.key] = len(self.vectors)
+            self.vectors.append(attached)
+        return self._index[attached.key]
 
     def point(self, frame: Frame) -> int:
         """Index of the frame's point."""

@@ -1,0 +1,94 @@
+"""Changes of temperature and moisture of a flexible body as loads, and their static shapes in its basis.
+
+    F = sum over cells of integrals of E' (N, M)        loads on nodes that cause the free expansion by a unit change
+    Q = T Psi' F                                        generalized forces on the modal coordinates, for a change T
+
+E, N, M   strains of a cell; forces and moments of the free strains of its laminate (fem/materials/expansion.py)
+
+A zone is the whole body or one of its parts. Few vibration modes have the stretching of a body that becomes warmer, so a body
+with `expansion` retains U = K^-1 F of each change as well (fem/reduction/static_shapes.py): then the deformation of the held or
+the free body under a steady change is exact for its mesh.
+Differentiable, forward and reverse, in everything that the laminates depend on, with lanes.
+Checked in tests/multibody/forces/test_temperature.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError, one_of
+from torchmbd.fem.elements import Assembly, ExpandingPart, Part
+from torchmbd.fem.reduction import StaticShapes
+
+Load = tuple[str | None, str]  # zone, None for the whole body, and kind of change
+
+
+class Expansion:
+    """Loads on the nodes of one body by unit changes."""
+
+    def __init__(self, name: str, parts: Mapping[str, Part], assembly: Assembly) -> None:
+        self.name, self.parts, self.assembly = name, dict(parts), assembly
+        self.loads: list[Load] = []  # of the static shapes
+
+    def expanding(self, zone: str | None) -> dict[str, ExpandingPart]:
+        """The parts of a zone that can expand; InputError for a zone that is not there, or does not expand."""
+        if zone is not None:
+            one_of(f"zone of {self.name!r}", zone, self.parts)
+        members = {
+            key: part for key, part in self.parts.items() if zone in (None, key) and isinstance(part, ExpandingPart)
+        }
+        if not members:
+            where = f"body {self.name!r}" if zone is None else f"zone {zone!r} of body {self.name!r}"
+            raise InputError(f"{where} has no parts that expand: must have plates or beams")
+        return members
+
+    def changes(self, zone: str | None) -> tuple[str, ...]:
+        """Kinds of change that a part of the zone knows."""
+        return tuple(dict.fromkeys(x for part in self.expanding(zone).values() for x in part.changes))
+
+    def forces(self, zone: str | None, change: str) -> Float[Tensor, "*lanes n 6"]:
+        """Forces and moments on all nodes by a unit change; InputError names the ply without a coefficient."""
+        total: Tensor | None = None
+        for key, part in self.expanding(zone).items():
+            if change not in part.changes:
+                continue
+            try:
+                forces = part.expansion_forces(change)
+            except InputError as error:
+                raise InputError(f"part {key!r} of body {self.name!r}: {error}") from None
+            total = forces if total is None else total + forces
+        if total is None:
+            raise InputError(change, allowed=" or ".join(self.changes(zone)), noun=f"change of {self.name!r}", state=f"is {change}")
+        return total
+
+    def free_forces(self) -> Float[Tensor, "*lanes N loads"]:
+        """Loads on the free freedoms of all static shapes."""
+        columns = [self.forces(*load)[..., None] for load in self.loads]
+        lanes = torch.broadcast_shapes(*(x.shape for x in columns))
+        return self.assembly.freedoms.gathered(torch.cat([x.expand(lanes) for x in columns], -1))
+
+    def shapes(self, zones: bool | str | Sequence[str]) -> StaticShapes | None:
+        """The static shapes of zones: True: the whole body as one; False: none. Changes without coefficients have none."""
+        allowed = "True, False, or names of parts of the body"
+        if not isinstance(zones, (bool, str, list, tuple)):
+            raise InputError((self.name, "expansion"), zones, allowed, noun=f"expansion of {self.name!r}")
+        chosen: list[str | None] = [None] * zones if isinstance(zones, bool) else [zones] if isinstance(zones, str) else [*zones]
+        if not chosen:
+            return None
+        self.loads, refused = [], []
+        for zone in chosen:
+            for change in self.changes(zone):
+                try:
+                    self.forces(zone, change)
+                except InputError as error:
+                    refused.append(error)
+                else:
+                    self.loads.append((zone, change))
+        if not self.loads:
+            raise InputError(f"expansion of {self.name!r}: {refused[0]}")
+        return StaticShapes(self.assembly.pattern, self.free_forces)

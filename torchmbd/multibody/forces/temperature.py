@@ -1,0 +1,113 @@
+"""Changes of temperature and moisture of a flexible body of plates or beams, as a load.
+
+    Q = T(t) Psi' F        F: loads on the nodes that cause the free expansion by a unit change (bodies/expansion.py)
+
+Q acts on the modal coordinates w alone. It is that of the action Along: the vector b = A (S w), S = e_x (Psi' F)' of the body,
+has the coordinate b . A e_x = F' Psi w along the body's x-axis, whatever the rotation A. So a change of temperature is data of
+compiled code and has derivatives by the design as every force has.
+The stress of a ply is that of the strain less its free strain (results/ply_history.py).
+In a body with stiffening the stress of the held change, that of K^-1 F less that of the free strain, acts on the displacements of
+second order as well.
+Assumed: moduli and coefficients do not depend on temperature or moisture; the change is constant in each zone, and linear
+through the thickness.
+Source: as of fem/materials/expansion.py; T. J. R. Hughes, The Finite Element Method (1987), initial strains.
+Checked in tests/multibody/forces/test_temperature.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import CHANGES
+from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.forces.action import Along
+from torchmbd.multibody.forces.force import Applied, ForceElement
+from torchmbd.multibody.forces.laws import Scaled, check_law
+from torchmbd.multibody.joints.joint import Attached, AttachmentTable
+
+Change = float | Tensor | Callable[[Tensor], Tensor] | Scaled
+
+
+@dataclass(frozen=True, eq=False)
+class ExpansionVector(Attached):
+    """A vector of a body whose first component is the work of the loads of a unit change on the modes; zero at rest."""
+
+    zone: str | None = None
+    change: str = "temperature"
+
+    @property
+    def key(self) -> tuple:
+        """Key that is equal for equal vectors."""
+        return *super().key, self.zone, self.change
+
+    def modal_rows(self, psi: Tensor) -> Tensor:
+        """Derivative by the modal coordinates [..., 3, modes], out of mode shapes psi [..., nodes, 6, modes]."""
+        F = self.body.expansion.forces(self.zone, self.change)
+        work = (psi * F[..., None]).sum((-3, -2))
+        none = torch.zeros_like(work)
+        return torch.stack([work, none, none], -2)
+
+
+class Temperature(ForceElement):
+    """`Temperature(body, 80.0)`: a change of the temperature [K] of a flexible body, from that at which it has no stress.
+
+    body         a flexible body of plates, shells or beams whose plies have coefficients of expansion
+    temperature  at z = 0, the surface of the nodes [K]: a number, or a torch function of time, [] [s] -> [] [K]; a design
+                 variable "NAME.temperature" as mbd.variable(80.0), "NAME.factor" as mbd.forces.Scaled(mbd.variable(1.0), function)
+    gradient     per meter along the normal of plates, or along the z-axis of sections of beams [K/m]
+    gradient_y   per meter along the y-axis of sections of beams [K/m]
+    moisture     change of the moisture, a share of the mass [-]
+    zone         name of the part of the body that changes; None: the whole body
+    name         of the element, and of its design variables
+
+    A body should have expansion=True, so that it retains the static shapes of these changes (`FlexibleBody.plate`).
+
+    >>> ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=28e-6)
+    >>> laminate = mbd.Laminate(ply, mbd.deg([0, 90]), thickness=0.125e-3)
+    >>> mesh = mbd.mesh.rectangle(0.2, 0.02, (8, 2))
+    >>> strip = mbd.FlexibleBody.plate("strip", mesh, laminate, 2, reference="left_edge", expansion=True)
+    >>> hold = mbd.Fixed(mbd.Ground().at(-0.1, 0, 0), strip.at("left"))
+    >>> cooled = mbd.equilibrium(mbd.System([strip], [hold], [mbd.Temperature(strip, -1.0)]))
+    >>> bool(cooled.body("strip").at("right").position[..., 2] > 0)  # the strip curls
+    True
+    """
+
+    def __init__(
+        self,
+        body: Any,
+        temperature: Change = 0.0,
+        gradient: Change = 0.0,
+        gradient_y: Change = 0.0,
+        moisture: Change = 0.0,
+        zone: str | None = None,
+        name: str | None = None,
+    ):
+        if getattr(body, "expansion", None) is None:
+            raise InputError(f"Temperature acts on {body!r}: must be a flexible body of plates or beams")
+        super().__init__((body.at(body.reference[0]),), name or "_".join(["temperature", body.name, *([zone] if zone else [])]))
+        self.body, self.zone = body, zone
+        given = {"temperature": temperature, "gradient": gradient, "gradient_y": gradient_y, "moisture": moisture}
+        self.changes = {key: x for key, x in given.items() if isinstance(x, Tensor) or callable(x) or x != 0.0}
+        known = body.expansion.changes(zone)
+        for change in self.changes:
+            if change not in known:
+                raise InputError(change, allowed=f"{', '.join(known)}", noun=f"{change} of {self.name!r}", state="is given")
+            with torch.no_grad():
+                body.expansion.forces(zone, change)  # the plies have the coefficients
+        self.laws = {
+            change: check_law(self.name, self.law_variables.law_of_time(x, change)) for change, x in self.changes.items()
+        }
+
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
+        none, x = torch.zeros(3, dtype=torch.float64), torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+        for change, law in self.laws.items():
+            origin = attachments.add(Attached(Ground(), none, None, False))
+            axis = attachments.add(Attached(self.body, x, None, False))
+            vector = attachments.add(ExpansionVector(self.body, none, None, False, zone=self.zone, change=change))
+            yield Applied(Along, (origin, vector, axis), law)
