@@ -20,8 +20,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.errors import InputError, one_of
-from torchmbd.fem.elements import PlyBasis, ply_basis, ply_points
+from torchmbd.fem.elements import PlyBasis, held_ply_stress, ply_basis, ply_points
 from torchmbd.fem.materials import CRITERIA, MODES, PLY_COMPONENTS, FailureForms
+from torchmbd.multibody.forces.temperature import Temperature
 
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
@@ -59,7 +60,9 @@ class PlyHistory:
         self.name, self.w = name, view.w
         body = motion.system.body(name)
         require_plies(body)
-        self.basis, self.strength = motion.of_designs(lambda: _recovered(body, view.psi))
+        changes = changes_of(motion, body)
+        self.basis, self.strength, coordinates = motion.of_designs(lambda: _recovered(body, view.psi, changes, motion.t))
+        self.w = torch.cat([view.w, coordinates], -1) if changes else view.w
         points = (ply_points(part.matrices, part.laminate) for part in body.plates.values())
         self.points = torch.cat(list(points))
 
@@ -150,11 +153,43 @@ def require_plies(body: object) -> None:
         raise InputError(f"body {name!r} has no plies; allowed here: a plate, such as FlexibleBody.plate(...)")
 
 
-def _recovered(body: Any, psi: Tensor) -> tuple[PlyBasis, Tensor | None]:
-    """Ply values of modes, and strengths, of the present design."""
+def changes_of(motion: Trajectory, body: Any) -> list[Temperature]:
+    """The changes of temperature and moisture of a body; InputError where a phase of the motion has laws of its own for them."""
+    changes = [force for force in motion.system.forces if isinstance(force, Temperature) and force.body is body]
+    for actions in motion.actions:  # of each phase
+        laws = {id(law) for action in actions for law in action.laws}
+        for force in changes:
+            if any(id(law) not in laws for law in force.laws.values()):
+                raise InputError(
+                    f"stresses of body {body.name!r} under {force.name!r}, for which a phase of this motion has another law: "
+                    "must be one law. Try: a function of time for the whole motion"
+                )
+    return changes
+
+
+def _recovered(
+    body: Any, psi: Tensor, changes: Sequence[Temperature], times: Tensor
+) -> tuple[PlyBasis, Tensor | None, Tensor]:
+    """Ply values of modes, then of unit changes that are held, strengths, and these changes [lanes, times, k], of the design."""
+    lanes = len(psi)
     parts = [ply_basis(part.matrices, part.laminate, psi) for part in body.plates.values()]
-    wide = (torch.cat([x.expand(len(psi), -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
-    return PlyBasis(*wide), _strength(body, len(psi))
+    strain, stress = (torch.cat([x.expand(lanes, -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
+    held, coordinates = [], [psi.new_zeros(lanes, len(times), 0)]
+    for force in changes:
+        for change, history in force.histories(times).items():
+            held.append(torch.cat([_held(force, key, part, change).expand(lanes, -1, -1) for key, part in body.plates.items()], 1))
+            coordinates.append(history.expand(lanes, -1)[..., None])
+    if held:
+        columns = -torch.stack(held, -1)
+        strain, stress = torch.cat([strain, torch.zeros_like(columns)], -1), torch.cat([stress, columns], -1)
+    return PlyBasis(strain, stress), _strength(body, lanes), torch.cat(coordinates, -1)
+
+
+def _held(force: Temperature, key: str, part: Any, change: str) -> Tensor:
+    """Stresses that would cause the free strains of the plies of a part by a unit change [*lanes, points, 5]."""
+    if force.zone in (None, key):
+        return held_ply_stress(part.matrices, part.laminate, change)
+    return torch.zeros(len(ply_points(part.matrices, part.laminate)), 5, dtype=torch.float64)
 
 
 def _at(basis: Tensor, w: Tensor) -> Tensor:

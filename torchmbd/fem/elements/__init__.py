@@ -9,7 +9,7 @@ from torchmbd.fem.elements.cell_stiffness import ELEMENTS
 from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
 from torchmbd.fem.elements.links import Average, Combination, Follower, RigidLink
 from torchmbd.fem.elements.part import CHANGES, ExpandingPart, GivenElements, MassPoints, Part, PointMasses
-from torchmbd.fem.elements.plate import PlateMatrices, PlyBasis, ply_basis, ply_points
+from torchmbd.fem.elements.plate import PlateMatrices, PlyBasis, held_ply_stress, ply_basis, ply_points
 from torchmbd.fem.elements.plates import MASSES, Plates, merge_plates
 from torchmbd.fem.elements.strains import FREEDOMS
 
@@ -38,6 +38,7 @@ __all__ = [
     "PlyBasis",
     "PointMasses",
     "RigidLink",
+    "held_ply_stress",
     "merge_plates",
     "ply_basis",
     "ply_points",

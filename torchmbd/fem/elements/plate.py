@@ -320,6 +320,14 @@ def ply_basis(matrices: PlateMatrices, laminate: Laminate, displacements: Float[
     return PlyBasis(strain.flatten(-5, -3), stress.flatten(-5, -3))
 
 
+def held_ply_stress(matrices: PlateMatrices, laminate: Laminate, change: str) -> Float[Tensor, "*lanes points 5"]:
+    """Stresses [Pa] that would cause the free strains of the plies by a unit change, at the points of a PlyBasis."""
+    stress = laminate.held_expansion(**{change: 1.0}).stress
+    stress = stress[..., matrices.zones, :, :, :] if matrices.several else stress.unsqueeze(-4)
+    stress = stress.expand(*stress.shape[:-4], len(matrices.members), *stress.shape[-3:])
+    return torch.nn.functional.pad(stress.flatten(-4, -2), (0, 2))
+
+
 def ply_points(matrices: PlateMatrices, laminate: Laminate) -> Int[Tensor, "points 3"]:
     """Cell, layer from the bottom, and face (0 bottom, 1 top) of every point of a PlyBasis."""
     layers, faces = torch.arange(len(laminate.layer_plies)), torch.arange(2)

@@ -57,6 +57,11 @@ class LawVariables:
         self.name = name
         self._numbers = nn.ParameterDict()
 
+    @property
+    def numbers(self) -> Mapping[str, Tensor]:
+        """The design variables by name, in the present design."""
+        return self._numbers
+
     def law(self, law: Any, **names: str) -> Any:
         """The law with its numbers checked; design variables get the names of their fields, or those of field -> name."""
         if data_fields(law):

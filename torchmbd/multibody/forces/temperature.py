@@ -28,7 +28,8 @@ from torchmbd.fem.elements import CHANGES
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Along
 from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.forces.laws import Scaled, check_law
+from torchmbd.multibody.forces.laws import OfTime, Scaled, check_law
+from torchmbd.multibody.forces.parametric_law import ParametricLaw
 from torchmbd.multibody.joints.joint import Attached, AttachmentTable
 
 Change = float | Tensor | Callable[[Tensor], Tensor] | Scaled
@@ -59,7 +60,7 @@ class Temperature(ForceElement):
 
     body         a flexible body of plates, shells or beams whose plies have coefficients of expansion
     temperature  at z = 0, the surface of the nodes [K]: a number, or a torch function of time, [] [s] -> [] [K]; a design
-                 variable "NAME.temperature" as mbd.variable(80.0), "NAME.factor" as mbd.forces.Scaled(mbd.variable(1.0), function)
+                 variable "NAME.temperature" as mbd.variable(80.0), or as mbd.forces.Scaled(mbd.variable(1.0), function)
     gradient     per meter along the normal of plates, or along the z-axis of sections of beams [K/m]
     gradient_y   per meter along the y-axis of sections of beams [K/m]
     moisture     change of the moisture, a share of the mass [-]
@@ -100,9 +101,23 @@ class Temperature(ForceElement):
                 raise InputError(change, allowed=f"{', '.join(known)}", noun=f"{change} of {self.name!r}", state="is given")
             with torch.no_grad():
                 body.expansion.forces(zone, change)  # the plies have the coefficients
-        self.laws = {
-            change: check_law(self.name, self.law_variables.law_of_time(x, change)) for change, x in self.changes.items()
-        }
+        self.laws = {change: check_law(self.name, self._law(change, x)) for change, x in self.changes.items()}
+
+    def _law(self, change: str, x: Change) -> Any:
+        if isinstance(x, Scaled):
+            return self.law_variables.law(Scaled(x.factor, OfTime(x.law)), factor=change)
+        return self.law_variables.law_of_time(x, change)
+
+    def histories(self, times: Tensor) -> dict[str, Tensor]:
+        """Each change at times [t] in the present design [*lanes, t]."""
+        zero, histories = torch.zeros(1, 1, len(times), dtype=torch.float64), {}
+        variables = self.law_variables.numbers
+        for change, law in self.laws.items():
+            if isinstance(law, ParametricLaw):
+                histories[change] = variables[change][..., None] * law.law.law(zero, zero, times)[0, 0]
+            else:
+                histories[change] = law(zero, zero, times)[0, 0]
+        return histories
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         none, x = torch.zeros(3, dtype=torch.float64), torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
