@@ -26,7 +26,8 @@ from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.fem.elements import Beams
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.fem.sections import Section
-from torchmbd.results.ply_history import of_plies, require_plies
+from torchmbd.multibody.forces.temperature import Temperature
+from torchmbd.results.ply_history import changes_of, of_plies, require_plies
 
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
@@ -38,8 +39,14 @@ _OF_PLY = [0, 1, 5, 4, 3]
 
 
 class _Part(NamedTuple):
-    forces: Float[Tensor, "lanes ends 6 modes"]
-    unit: Float[Tensor, "lanes points 6 6"]
+    """Recovery of one part. Changes of temperature and moisture are coordinates after the modes, and loads after the six forces.
+
+    forces   loads at the ends by coordinates
+    unit     stresses by loads; those of changes are the stresses of the free section
+    """
+
+    forces: Float[Tensor, "lanes ends loads coordinates"]
+    unit: Float[Tensor, "lanes points 6 loads"]
     strength: Float[Tensor, "lanes points 8"] | None
     length: Float[Tensor, "lanes elements"]
 
@@ -68,7 +75,9 @@ class SectionHistory:
         self.name, self.w = name, view.w
         self._body = motion.system.body(name)
         self._beams = beams_of(self._body)
-        self._recovered = motion.of_designs(lambda: {key: _part(part, view.psi) for key, part in self._beams.items()})
+        changes = changes_of(motion, self._body)
+        self._recovered, coordinates = motion.of_designs(lambda: _recovered(self._beams, view.psi, changes, motion.t))
+        self.w = torch.cat([view.w, coordinates], -1) if changes else view.w
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -85,7 +94,7 @@ class SectionHistory:
 
     def forces(self, part: str | None = None, times: slice = slice(None)) -> Float[Tensor, "lanes times ends 6"]:
         """(N, V_y, V_z, T, M_y, M_z) at the chosen output times."""
-        return torch.einsum("lesm,ltm->ltes", self._recovered[self._key(part)].forces, self.w[:, times])
+        return torch.einsum("lesm,ltm->ltes", self._recovered[self._key(part)].forces[:, :, :6], self.w[:, times])
 
     def points(self, part: str | None = None) -> Float[Tensor, "points 2"]:
         """Where the stresses are, y and z in the axes of the section [m]."""
@@ -97,7 +106,8 @@ class SectionHistory:
         """Stresses (11, 22, 33, 23, 13, 12) [Pa] in ply axes at the chosen output times: few, if the section is large."""
         key = self._key(part)
         self._section(key)
-        return torch.einsum("lpcs,ltes->ltepc", self._recovered[key].unit, self.forces(key, times))
+        loads = torch.einsum("lesm,ltm->ltes", self._recovered[key].forces, self.w[:, times])
+        return torch.einsum("lpcs,ltes->ltepc", self._recovered[key].unit, loads)
 
     def basis(self, part: str | None = None) -> tuple[Float[Tensor, "lanes points 5 modes"], Tensor | None]:
         """Ply stresses of the modes at all ends and points of a part [Pa], and strengths there [lanes, points, 8]."""
@@ -199,8 +209,22 @@ def _rule(criterion: str) -> Any:
     return CRITERIA[one_of("criterion", criterion, CRITERIA)]
 
 
-def _part(beams: Beams, psi: Tensor) -> _Part:
-    """Recovery of modes in the present design."""
+def _recovered(
+    beams: dict[str, Beams], psi: Tensor, changes: Sequence[Temperature], times: Tensor
+) -> tuple[dict[str, _Part], Tensor]:
+    """Recovery of all parts, and the changes [lanes, times, k], in the present design."""
+    histories = [(force, force.histories(times)) for force in changes]
+    named = [(change, force.zone) for force, history in histories for change in history]
+    rows = [x.expand(len(psi), -1) for _, history in histories for x in history.values()]
+    coordinates = torch.stack(rows, -1) if rows else psi.new_zeros(len(psi), len(times), 0)
+    parts = {}
+    for key, part in beams.items():
+        parts[key] = _part(part, psi, [(change, zone in (None, key)) for change, zone in named])
+    return parts, coordinates
+
+
+def _part(beams: Beams, psi: Tensor, changes: Sequence[tuple[str, bool]]) -> _Part:
+    """Recovery of modes, and of changes with whether they act on this part, in the present design."""
     lanes, section, length = len(psi), beams.section, beams.lengths
     unit, strength = psi.new_zeros(0, 6, 6), None
     if isinstance(section, Section):
@@ -209,4 +233,26 @@ def _part(beams: Beams, psi: Tensor) -> _Part:
             points = section.problem.geometry.layer[section.stress_points[:, 0]]
             strength = numbers[..., points, :].expand(lanes, -1, -1)
     forces = beams.section_forces(psi).flatten(1, 2)
+    if changes:
+        forces, unit = _with_changes(beams, forces, unit.expand(lanes, *unit.shape[-3:]), changes)
     return _Part(forces, unit.expand(lanes, *unit.shape[-3:]), strength, length.expand(lanes, length.shape[-1]))
+
+
+def _with_changes(
+    beams: Beams, forces: Tensor, unit: Tensor, changes: Sequence[tuple[str, bool]]
+) -> tuple[Float[Tensor, "lanes ends loads coordinates"], Float[Tensor, "lanes points 6 loads"]]:
+    """Loads by coordinates and stresses by loads with the changes; those of parts on which they do not act are zero."""
+    lanes, ends = forces.shape[:2]
+    section = beams.section
+    for change, acts in changes:
+        held, stress = forces.new_zeros(lanes, ends, 6), unit.new_zeros(*unit.shape[:-1])
+        if acts:
+            held = beams.held_forces(change).flatten(-3, -2).expand(lanes, -1, -1)
+        if acts and isinstance(section, Section):
+            element, point = section.stress_points.unbind(1)
+            stress = section.expansion(change).stress[..., element, point, :].expand(lanes, -1, -1)
+        unit = torch.cat([unit, stress[..., None]], -1)
+        column = torch.nn.functional.pad(-held, (0, forces.shape[2] - 6))[..., None]
+        row = torch.nn.functional.one_hot(torch.tensor(forces.shape[3]), forces.shape[3] + 1).to(forces)
+        forces = torch.cat([torch.cat([forces, column], 3), row.expand(lanes, ends, 1, -1)], 2)
+    return forces, unit

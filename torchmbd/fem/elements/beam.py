@@ -151,10 +151,27 @@ class BeamMatrices:
     ) -> Float[Tensor, "*lanes m 2 6 k"]:
         """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, in its axes there, for k motions of the nodes."""
         k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
-        end = k @ (self._ends @ motion[..., self.elements, :, :].flatten(-3, -2))
+        return self.along(k @ (self._ends @ motion[..., self.elements, :, :].flatten(-3, -2)))
+
+    def along(self, end: Float[Tensor, "*lanes m 6 k"]) -> Float[Tensor, "*lanes m 2 6 k"]:
+        """Section forces at start and end of each element, in its axes there, out of those at its end in axes of the chord."""
         turned = self.frames(torch.tensor([0.0, 1.0], dtype=torch.float64)) @ self.axes[..., None, :, :].mT
         here = _transport(turned.new_zeros(turned.shape[:-1]), turned)
         return here @ torch.stack([self._whole @ end, end], dim=-3)
+
+    def held_forces(
+        self, stiffness: Float[Tensor, "*lanes m g 6 6"], strain: Float[Tensor, "*lanes m g 6"]
+    ) -> Float[Tensor, "*lanes m 6"]:
+        """Forces and moments at the end of each element, in the axes of its chord, that cause free strains at the stations."""
+        weight = self.length[..., None] * self.weights
+        end = (weight[..., None, None] * (self._carry.mT @ strain[..., None])).sum(-3)
+        return (balanced_inverse(self.flexibility(balanced_inverse(stiffness))) @ end)[..., 0]
+
+    def on_nodes(self, end: Float[Tensor, "*lanes m 6"]) -> Float[Tensor, "*lanes n 6"]:
+        """Forces and moments on all nodes of those at the ends of the elements, as of `held_forces`."""
+        corners = (self._ends.mT @ end[..., None])[..., 0].unflatten(-1, (2, 6))
+        none = corners.new_zeros(*corners.shape[:-3], len(self.mesh.nodes), 6)
+        return none.index_add(-2, self.elements.flatten(), corners.flatten(-3, -2))
 
     def stressed(
         self, stiffness: Float[Tensor, "*lanes m g 6 6"], motion: Float[Tensor, "*lanes n 6 k"]

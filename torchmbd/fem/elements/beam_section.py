@@ -23,7 +23,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.checked_numbers import parameter
+from torchmbd.math.checked_numbers import is_real, parameter
 from torchmbd.math.gradients import all_true, constant_arguments, refuse_gradients
 from torchmbd.math.gradients import untransformed as plain_numbers
 from torchmbd.math.plausible_units import DIMENSION, warn_unusual, warn_unusual_material
@@ -40,6 +40,15 @@ class BeamSection(Protocol):
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]: ...
 
     def mass(self) -> Float[Tensor, "*lanes 6 6"]: ...
+
+
+@runtime_checkable
+class ExpandingSection(BeamSection, Protocol):
+    """A section that expands with temperature or moisture."""
+
+    def free_strain(self, change: str) -> Float[Tensor, "*lanes 6"]:
+        """(eps, gamma_y, gamma_z, kappa_x, kappa_y, kappa_z) of the free section by a unit change (elements/part.py)."""
+        ...
 
 
 class GivenSection(nn.Module):
@@ -60,6 +69,7 @@ class GivenSection(nn.Module):
 
     matrix: Tensor
     inertia: Tensor
+    alpha: float | None = None
 
     def __init__(self, stiffness: Sequence | Tensor, mass: Sequence | Tensor) -> None:
         super().__init__()
@@ -92,13 +102,23 @@ class GivenSection(nn.Module):
         J: float | Tensor,
         shear_y: float | Tensor = 5.0 / 6.0,
         shear_z: float | Tensor = 5.0 / 6.0,
+        alpha: float | Tensor | None = None,
     ) -> GivenSection | IsotropicSection:
-        """A section of metal in its principal axes: area [m2], second moments and torsion constant [m4], shear corrections.
+        """A section of metal in its principal axes: area [m2], second moments and torsion constant [m4], shear corrections,
+        coefficient of thermal expansion [1/K].
 
         Each number may be mbd.variable(...): a design variable, "section.area".
         """
-        section = Isotropic(E, nu, density, area, Iyy, Izz, J, shear_y, shear_z)
-        return IsotropicSection(section) if varies(section) else cls(section.stiffness(), section.mass())
+        section = Isotropic(E, nu, density, area, Iyy, Izz, J, shear_y, shear_z, alpha)
+        if varies(section):
+            return IsotropicSection(section)
+        result = cls(section.stiffness(), section.mass())
+        result.alpha = section.alpha
+        return result
+
+    def free_strain(self, change: str) -> Float[Tensor, " 6"]:
+        """Strains of the free section by a unit change; InputError without a coefficient of expansion."""
+        return _isotropic_strain(self.alpha, change)
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """Stiffness matrix of the section."""
@@ -163,6 +183,7 @@ class Isotropic:
     J: Any
     shear_y: Any
     shear_z: Any
+    alpha: Any = None
 
     def __post_init__(self) -> None:
         for name in self.positive:
@@ -173,6 +194,10 @@ class Isotropic:
             raise InputError(
                 "nu", number(self.nu), "-1 < nu <= 0.5", noun="GivenSection: nu", state=f"= {number(self.nu)!r}"
             )
+        alpha = number(self.alpha)
+        if alpha is not None and not (is_real(alpha) and math.isfinite(alpha)):
+            allowed = "a finite number [1/K], mbd.variable(...) of one, or None"
+            raise InputError("alpha", alpha, allowed, noun="GivenSection: alpha", state=f"= {alpha!r}")
         numbers = without_variables(self)
         warn_unusual_material("GivenSection", {"E": numbers.E}, numbers.density, None)
         for name in ("Iyy", "Izz", "J"):
@@ -204,6 +229,27 @@ class IsotropicSection(Numbers):
     def mass(self) -> Float[Tensor, "*lanes 6 6"]:
         """Mass matrix of the section, per length."""
         return self().mass()
+
+    def free_strain(self, change: str) -> Float[Tensor, "*lanes 6"]:
+        """Strains of the free section by a unit change; InputError without a coefficient of expansion."""
+        return _isotropic_strain(self().alpha, change)
+
+
+#: Place and sign of the strain eps, kappa_y or kappa_z of a homogeneous section by a change: eps(y, z) = eps + z kappa_y - y kappa_z.
+_BY_TEMPERATURE = {"temperature": (0, 1.0), "gradient": (4, 1.0), "gradient_y": (5, -1.0)}
+
+
+def _isotropic_strain(alpha: Any, change: str) -> Float[Tensor, "*lanes 6"]:
+    if alpha is None or change not in _BY_TEMPERATURE:
+        missing = "alpha" if change in _BY_TEMPERATURE else "coefficient of moisture expansion"
+        raise InputError(
+            f"{change} acts on a section of given numbers without {missing}: must have it. "
+            "Try: mbd.GivenSection.isotropic(..., alpha=...), or a Section of plies"
+        )
+    place, sign = _BY_TEMPERATURE[change]
+    unit = torch.zeros(6, dtype=torch.float64)
+    unit[place] = sign
+    return torch.as_tensor(alpha, dtype=torch.float64)[..., None] * unit
 
 
 def definite_stiffness(section: BeamSection) -> Float[Tensor, "*lanes 6 6"]:

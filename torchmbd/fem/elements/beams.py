@@ -6,7 +6,7 @@ Checked in tests/fem/elements/test_beams.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float, Int
@@ -15,9 +15,9 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.beam import BeamMatrices, Line
 from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
-from torchmbd.fem.elements.beam_section import BeamSection, definite_stiffness, line_transform
+from torchmbd.fem.elements.beam_section import BeamSection, ExpandingSection, definite_stiffness, line_transform
 from torchmbd.fem.elements.geometric import StressedCells
-from torchmbd.fem.elements.part import MassPoints
+from torchmbd.fem.elements.part import CHANGES, MassPoints
 from torchmbd.fem.elements.plates import MASSES
 from torchmbd.math.checked_numbers import reals
 
@@ -122,6 +122,23 @@ class Beams:
     def section_forces(self, motion: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 2 6 k"]:
         """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, about the section's own axes, for k motions."""
         return torch.linalg.inv(self._to_ends) @ self._present.forces(self._stiffness(), motion)
+
+    changes: ClassVar[tuple[str, ...]] = tuple(CHANGES)
+
+    def expansion_forces(self, change: str) -> Float[Tensor, "*lanes n 6"]:
+        """Forces and moments on all nodes that cause the free expansion by a unit change."""
+        return self._present.on_nodes(self._held(change))
+
+    def held_forces(self, change: str) -> Float[Tensor, "*lanes m 2 6"]:
+        """Section forces at start and end of each element that cause the free strains by a unit change, as `section_forces`."""
+        forces = self._present.along(self._held(change)[..., None])
+        return (torch.linalg.inv(self._to_ends) @ forces)[..., 0]
+
+    def _held(self, change: str) -> Float[Tensor, "*lanes m 6"]:
+        if not isinstance(self.section, ExpandingSection):
+            raise InputError(f"section {self.section!r} does not expand: must have free_strain(change), as a Section of plies")
+        strain = self.section.free_strain(change)[..., None, None, :, None]
+        return self._present.held_forces(self._stiffness(), (torch.linalg.inv(self._to_line).mT @ strain)[..., 0])
 
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
         """The elements under the section forces of k motions."""

@@ -77,7 +77,7 @@ def free_strains(plies: Sequence[Any], temperature: Any, gradient: Any, moisture
         if not ((is_real(x) and math.isfinite(x)) or is_number):
             raise InputError(name, x, "a finite number, or a tensor of them [lanes]")
     acting = {name: any(_acts(changes[key]) for key in keys) for name, keys in _KINDS.items()}
-    rows = {name: _coefficients(plies, name) if acts else None for name, acts in acting.items()}
+    rows = {name: coefficients(plies, name) if acts else None for name, acts in acting.items()}
     none = torch.zeros(len(plies), 3, dtype=torch.float64)
     thermal, moist = (none if row is None else row for row in rows.values())
     T0, T1, C = (_column(x) for x in (temperature, gradient, moisture))
@@ -93,11 +93,11 @@ def _column(change: Any) -> Tensor:
     return torch.as_tensor(change, dtype=torch.float64)[..., None, None]
 
 
-def _coefficients(plies: Sequence[Any], change: str) -> Float[Tensor, "*lanes layers 3"]:
-    """The coefficients of all layers; InputError that names the ply without them."""
+def coefficients(plies: Sequence[Any], change: str) -> Float[Tensor, "*lanes layers 3"]:
+    """Return the coefficients 11, 22, 12 of all layers for "temperature" or "moisture"; InputError that names a ply without."""
     rows = []
     for k, ply in enumerate(plies):
-        values = [getattr(ply, name) for name in _COEFFICIENTS[change]]
+        values = [getattr(ply, name, None) for name in _COEFFICIENTS[change]]
         missing = [name for name, x in zip(_COEFFICIENTS[change], values, strict=True) if x is None]
         if missing:
             raise InputError(

@@ -78,6 +78,15 @@ def unit_fields(problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*
     return UnitFields(U, _ordered(pure, shear), _ordered(pure_stress, shear_stress))
 
 
+def held_stress(
+    problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*lanes layers 6 6"], free: Float[Tensor, "*lanes m g 6 1"]
+) -> Float[Tensor, "*lanes m g 6 1"]:
+    """Return the stress of free strains in a section whose generalized strains are zero; its warping is free."""
+    held = -free
+    u = -solve(problem, g.element_stiffness(D), g.warp_force(g.stress(D, held)))
+    return g.stress(D, held + g.warp_strain(u))
+
+
 def compliance(
     problem: WarpingProblem, x: Float[Tensor, "*lanes e"], D: Float[Tensor, "*lanes layers 6 6"]
 ) -> Float[Tensor, "*lanes 6 6"]:

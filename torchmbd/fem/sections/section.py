@@ -34,12 +34,13 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.fem.materials.expansion import coefficients
 from torchmbd.fem.materials.laminate_checks import checked_angles
 from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.sections.geometry import SectionGeometry
 from torchmbd.fem.sections.mesh import SectionMesh
 from torchmbd.fem.sections.orthotropic import Orthotropic, in_wall_axes, strain_rotation
-from torchmbd.fem.sections.saint_venant import UnitFields, compliance, unit_fields
+from torchmbd.fem.sections.saint_venant import UnitFields, compliance, held_stress, unit_fields
 from torchmbd.fem.sections.warping import WarpingProblem
 from torchmbd.math.checked_numbers import differentiable_reals
 from torchmbd.math.inverse import balanced_inverse
@@ -55,6 +56,17 @@ class SectionStress(NamedTuple):
     strain: Float[Tensor, "*lanes m g 6"]
     stress: Float[Tensor, "*lanes m g 6"]
     points: Float[Tensor, "m g 2"]
+
+
+class SectionExpansion(NamedTuple):
+    """A free section after a change of temperature or moisture.
+
+    strain   (eps, gamma_y, gamma_z, kappa_x, kappa_y, kappa_z)
+    stress   in ply axes (11, 22, 33, 23, 13, 12) at the points of all elements, without resultants [Pa]
+    """
+
+    strain: Float[Tensor, "*lanes 6"]
+    stress: Float[Tensor, "*lanes m g 6"]
 
 
 class Section(nn.Module):
@@ -183,6 +195,34 @@ class Section(nn.Module):
         T = strain_rotation(self.angles)[..., g.layer, None, :, :]
         back = self._to_plies()[..., g.layer, None, :, :]
         return SectionStress((T @ strain @ load)[..., 0], (back @ stress @ load)[..., 0], g.points)
+
+    def free_strain(self, change: str) -> Float[Tensor, "*lanes 6"]:
+        """Strains of the free section by a unit change."""
+        held = held_stress(self.problem, self.geometry, self._wall_stiffness, self._free_strains(change))
+        return -(self.compliance() @ self.geometry.resultant(held))[..., 0]
+
+    def expansion(self, change: str) -> SectionExpansion:
+        """Return strains and residual stresses of the free section by a unit change (`CHANGES` of elements/part.py).
+
+        Gradients of the temperature are along the y- and the z-axis of the section. Raises InputError that names a layer
+        without a coefficient.
+        """
+        g = self.geometry
+        held = held_stress(self.problem, g, self._wall_stiffness, self._free_strains(change))
+        forces = g.resultant(held)
+        stress = held - self.unit_fields().stress @ forces[..., None, None, :, :]
+        back = self._to_plies()[..., g.layer, None, :, :]
+        return SectionExpansion(-(self.compliance() @ forces)[..., 0], (back @ stress)[..., 0])
+
+    def _free_strains(self, change: str) -> Float[Tensor, "*lanes m g 6 1"]:
+        """Free strains of all points in wall axes; across the fiber they are equal in all directions."""
+        kind = "moisture" if change == "moisture" else "temperature"
+        along, across, _ = coefficients(self._plies.current(self), kind).unbind(-1)
+        none = torch.zeros_like(along)
+        plies = torch.stack([along, across, across, none, none, none], -1)[..., None]
+        walls = (strain_rotation(-self.angles) @ plies)[..., self.geometry.layer, None, :, :]
+        y, z = self.geometry.points[..., None, None].unbind(-3)
+        return walls * {"gradient": z, "gradient_y": y}.get(change, torch.ones_like(y))
 
     @cached_property
     def stress_points(self) -> Int[Tensor, "points 2"]:
