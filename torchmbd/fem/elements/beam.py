@@ -174,9 +174,16 @@ class BeamMatrices:
         return none.index_add(-2, self.elements.flatten(), corners.flatten(-3, -2))
 
     def stressed(
-        self, stiffness: Float[Tensor, "*lanes m g 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
+        self,
+        stiffness: Float[Tensor, "*lanes m g 6 6"],
+        motion: Float[Tensor, "*lanes n 6 k"],
+        held: Float[Tensor, "*lanes m 6"] | None = None,
     ) -> list[StressedCells]:
-        """Return the stressed cells (geometric.py) under the section forces of k motions; stiffness as of `values`."""
+        """Return the stressed cells (geometric.py) under the section forces of k motions, less those of free strains.
+
+        stiffness   as of `values`
+        held        as `held_forces` returns them
+        """
         compliance = balanced_inverse(stiffness)
         k = balanced_inverse(self.flexibility(compliance))
         local = self._carry @ (k @ self._ends)[..., None, :, :]  # section forces, axes of the section
@@ -190,6 +197,9 @@ class BeamMatrices:
         slope = torch.linalg.cross(turned, tangent[..., None].expand_as(turned), dim=-2) + gamma
         rows = torch.cat([turned, slope, kappa], -2)  # [*lanes, m, g, 9, 12]
         forces = torch.cat([F, M], -2) @ corner_motions(self.elements, motion)[..., None, :, :]
+        if held is not None:
+            local = (self._carry @ held[..., None, :, None]).unflatten(-2, (2, 3))
+            forces = forces - (back[..., None, :, :] @ local).flatten(-3, -2)
         F, M = forces.movedim(-1, -4).split(3, dim=-1)  # [*lanes, k, m, g, 3]
         weight = self.length[..., None] * self.weights
         law = _law(F, M, tangent.unsqueeze(-4)) * weight[..., None, :, :, None, None]

@@ -140,9 +140,9 @@ class Beams:
         strain = self.section.free_strain(change)[..., None, None, :, None]
         return self._present.held_forces(self._stiffness(), (torch.linalg.inv(self._to_line).mT @ strain)[..., 0])
 
-    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
-        """The elements under the section forces of k motions."""
-        return self._present.stressed(self._stiffness(), motion)
+    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"], change: str | None = None) -> list[StressedCells]:
+        """The elements under the section forces of k motions, less those of the free strains of a unit change."""
+        return self._present.stressed(self._stiffness(), motion, None if change is None else self._held(change))
 
     @property
     def ends(self) -> Int[Tensor, "places 2"]:

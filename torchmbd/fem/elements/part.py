@@ -90,6 +90,10 @@ class ExpandingPart(Part, Protocol):
         """
         ...
 
+    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"], change: str | None = None) -> list[StressedCells]:
+        """Its cells under the stress of k motions, less that of the free strains of a unit change."""
+        ...
+
 
 class GivenElements:
     """Elements of constant stiffness and lumped masses.

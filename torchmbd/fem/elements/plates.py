@@ -144,10 +144,11 @@ class Plates:
         by: Any = jvp(grown, (none,), (torch.ones_like(none),))
         return by[1]
 
-    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
-        """The cells under the membrane forces of k motions."""
+    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"], change: str | None = None) -> list[StressedCells]:
+        """The cells under the membrane forces of k motions, less those of the free strains of a unit change."""
         laminate = self.laminate
-        return stressed_shells(self.matrices, laminate.entries(), motion, self.matrices.moved_mean(laminate))
+        held = None if change is None else laminate.held_expansion(**{change: 1.0}).force
+        return stressed_shells(self.matrices, laminate.entries(), motion, self.matrices.moved_mean(laminate), held)
 
     def expansion_forces(self, change: str) -> Float[Tensor, "*lanes n 6"]:
         """Forces and moments on all nodes that cause the free expansion by a unit change."""

@@ -36,13 +36,18 @@ def stressed_shells(
     entries: Float[Tensor, "*lanes 21"],
     motion: Float[Tensor, "*lanes n 6 k"],
     mean: Float[Tensor, "*lanes 3"] | None,
+    held: Float[Tensor, "*lanes 3"] | None = None,
 ) -> list[StressedCells]:
-    """Return the cells of each kind under the membrane forces of k motions; entries and mean as of `PlateMatrices.values`."""
+    """Return the cells of each kind under the membrane forces of k motions; entries and mean as of `PlateMatrices.values`.
+
+    held   forces N of free strains, which are subtracted; of several laminates [*lanes, laminates, 3]
+    """
+    zones = matrices.zones.split([len(group.shape) for group in matrices.kinds.values()])
     numbers = entries if matrices.several else entries[..., None, :]
     assert numbers.shape[-1] == len(ENTRIES)
     law = LaminateStiffness.of(numbers)
     stressed = []
-    for (kind, cells), (cell, variant) in zip(matrices.kinds.items(), matrices.variants, strict=True):
+    for (kind, cells), (cell, variant), zone in zip(matrices.kinds.items(), matrices.variants, zones, strict=True):
         A, B = (X[..., cell.laminate, :, :] for X in (law.A, law.B))
         weight = cells.strains.weight[cell.shape]
         if mean is None:
@@ -56,9 +61,13 @@ def stressed_shells(
             rows = rows.reshape(*lanes, len(weight), *rows.shape[1:])
         p = rows.shape[-3]
         N = rows.flatten(-3, -2)[..., variant, :, :] @ corner_motions(cells.corners, motion)  # [*lanes, m, 3 p, k]
-        stressed.append(
-            StressedCells(cells.corners, slopes(kind, cells.facets), N.unflatten(-2, (p, 3)).movedim(-1, -4))
-        )
+        N = N.unflatten(-2, (p, 3)).movedim(-1, -4)  # [*lanes, k, m, p, 3]
+        if held is not None:
+            of_cells = held[..., zone, :] if matrices.several else held[..., None, :]
+            area = cells.strains.weight[cells.shape][:, :p, None]  # those of drilling freedoms stand behind
+            factors = held.new_tensor([1.0, 2.0, 1.0])
+            N = N - (factors * of_cells[..., [0, 2, 1]])[..., None, :, None, :] * area
+        stressed.append(StressedCells(cells.corners, slopes(kind, cells.facets), N))
     return stressed
 
 

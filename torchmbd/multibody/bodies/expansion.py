@@ -15,6 +15,7 @@ Checked in tests/multibody/forces/test_temperature.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -23,7 +24,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, one_of
 from torchmbd.fem.elements import Assembly, ExpandingPart, Part
-from torchmbd.fem.reduction import StaticShapes
+from torchmbd.fem.elements.geometric import StressedCells, projected_geometric_stiffness
+from torchmbd.fem.reduction import StaticLoads, StaticShapes
+from torchmbd.math.module_call import outside_transforms
 
 Load = tuple[str | None, str]  # zone, None for the whole body, and kind of change
 
@@ -65,6 +68,22 @@ class Expansion:
         if total is None:
             raise InputError(change, allowed=" or ".join(self.changes(zone)), noun=f"change of {self.name!r}", state=f"is {change}")
         return total
+
+    def second_order(self, zone: str | None, change: str, psi: Float[Tensor, "*lanes n 6 m"]) -> Float[Tensor, "*lanes m m"]:
+        """Second derivative of the work of a unit change on the modes: minus their geometric stiffness under the stress of the
+        body that is held at its reference (stiffening.py)."""
+        members, freedoms = self.expanding(zone), self.assembly.freedoms
+        F = freedoms.gathered(self.forces(zone, change)[..., None])
+        u = freedoms.expand(self._static(self.assembly.stiffness(), F))
+        cells: list[StressedCells] = []
+        for key, part in self.parts.items():
+            acts = key in members and change in members[key].changes
+            cells += members[key].stressed(u, change) if acts else part.stressed(u)
+        return -projected_geometric_stiffness(cells, psi)[..., 0, :, :]
+
+    @cached_property
+    def _static(self) -> StaticLoads:
+        return outside_transforms(lambda: StaticLoads(self.assembly.pattern))
 
     def free_forces(self) -> Float[Tensor, "*lanes N loads"]:
         """Loads on the free freedoms of all static shapes."""

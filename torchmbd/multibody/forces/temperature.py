@@ -16,7 +16,7 @@ Checked in tests/multibody/forces/test_temperature.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,6 +53,12 @@ class ExpansionVector(Attached):
         work = (psi * F[..., None]).sum((-3, -2))
         none = torch.zeros_like(work)
         return torch.stack([work, none, none], -2)
+
+    def quadratic_rows(self, psi: Tensor, psi2: Tensor, nodes: Sequence[int]) -> Tensor:
+        """Second derivative by the modal coordinates [..., 3, modes, modes]; psi2 and nodes have no influence."""
+        work = self.body.expansion.second_order(self.zone, self.change, psi)
+        none = torch.zeros_like(work)
+        return torch.stack([work, none, none], -3)
 
 
 class Temperature(ForceElement):
