@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import box, plate, random_state, tensor, turned
+from tests.mechanisms import CARBON, laminate, box, plate, random_state, tensor, turned
 from torchmbd.math.elementwise import partial_derivatives
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.equations import equations
@@ -118,10 +118,11 @@ ELEMENTS: dict[str, Callable] = {
     "springdamper": partial(mbd.SpringDamper, law=law),
     "pressure": lambda a, b: mbd.Pressure(b.body, 5.0),
     "force": lambda a, b: mbd.Force(b, (1.0, -2.0, 0.5), axes="frame"),
+    "temperature": lambda a, b: mbd.Temperature(b.body, 20.0, gradient=lambda t: 300.0 * t),
     "torque": lambda a, b: mbd.Torque(b, lambda t: torch.stack([t.cos(), t, 1.0 - t])),
     "controller": lambda a, b: controller(a, b),
 }
-BETWEEN = [n for n in ELEMENTS if n not in ("controller", "force", "pressure", "torque")]
+BETWEEN = [n for n in ELEMENTS if n not in ("controller", "force", "pressure", "temperature", "torque")]
 between = pytest.mark.parametrize("name", BETWEEN)
 along = pytest.mark.parametrize("name", [n for n in BETWEEN if n != "beamelement"])  # that one has no coordinate
 each = pytest.mark.parametrize("name", list(ELEMENTS))
@@ -134,7 +135,8 @@ def test_every_element_is_here():
 def system_of(name: str) -> mbd.System:
     arm = box("arm", axes=turned(0.4, -0.7, 0.3), position=(0.1, 0.0, 0.2))
     make, place = (box, (0.2, 0.1, 0.0)) if name == "beamelement" else (plate, ("right",))  # rigid bodies only
-    rod = make("rod", axes=turned(-0.5, 0.2, 0.9), position=(0.3, -0.2, 0.4))
+    warm = {"made_of": laminate(ply=CARBON | {"alpha1": -0.3e-6, "alpha2": 28e-6})} if name == "temperature" else {}
+    rod = make("rod", axes=turned(-0.5, 0.2, 0.9), position=(0.3, -0.2, 0.4), **warm)
     element = ELEMENTS[name](arm.at(0.1, 0.2, -0.1, axes=turned(0.3, 0.1, -0.6)), rod.at(*place))
     return mbd.System([arm, rod], forces=[element])
 

@@ -25,6 +25,7 @@ from torchmbd.fem.materials import CRITERIA, MODES, PLY_COMPONENTS, FailureForms
 from torchmbd.multibody.forces.temperature import Temperature
 
 if TYPE_CHECKING:
+    from torchmbd.results.motion_data import MotionData
     from torchmbd.results.trajectory import Trajectory
 
 _CHUNK = 500_000  # indices in memory at once
@@ -153,7 +154,7 @@ def require_plies(body: object) -> None:
         raise InputError(f"body {name!r} has no plies; allowed here: a plate, such as FlexibleBody.plate(...)")
 
 
-def changes_of(motion: Trajectory, body: Any) -> list[Temperature]:
+def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
     """The changes of temperature and moisture of a body; InputError where a phase of the motion has laws of its own for them."""
     changes = [force for force in motion.system.forces if isinstance(force, Temperature) and force.body is body]
     for actions in motion.actions:  # of each phase

@@ -23,6 +23,7 @@ from torchmbd.multibody.equations import equations
 from torchmbd.multibody.system import System
 from torchmbd.results.body_motion import BodyMotion
 from torchmbd.results.motion_data import MotionData
+from torchmbd.results.ply_history import changes_of
 from torchmbd.results.reaction import at_times, in_lanes, placement_at_times
 
 
@@ -45,7 +46,13 @@ def interpolations(system: System, body: FlexibleBody) -> list[InterpolationCons
 
 
 def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
-    """The loads on one body. Raises InputError where phases of the motion have laws of forces of their own."""
+    """The loads on one body. Raises InputError where phases of the motion have laws of forces of their own, and where its
+    temperature or moisture changes."""
+    if changes := changes_of(motion, body):
+        raise InputError(
+            f"loads on {body.name!r}: {changes[0].name!r} changes its temperature, whose stress is not part of buckling along a "
+            "motion yet. Try: stiffening=True and the frequencies of mbd.equilibrium"
+        )
     laws = [law for kind in motion.system.topology.actions for law in kind.laws]
     for kinds in motion.actions:  # of each phase
         phase_laws = [law for kind in kinds for law in kind.laws]

@@ -33,7 +33,7 @@ from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
 from torchmbd.results.lane_motion import has_lane_times, lane_motion
-from torchmbd.results.ply_history import PlyHistory
+from torchmbd.results.ply_history import PlyHistory, changes_of
 from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 
 # Indices of the strengths in tension and compression of each component in Strength.numbers().
@@ -208,6 +208,11 @@ def _curve_damage(cycles: Cycles, curve: SNCurve) -> Tensor:
 def _stresses(motion: Trajectory, name: str) -> list[tuple[Tensor, Tensor | None]]:
     """Stresses of the modes [lanes, points, 5, modes] and strengths [lanes, points, 8] at ply points of plates and of beams."""
     body = motion.system.body(name)
+    if changes := changes_of(motion, body):
+        raise InputError(
+            f"damage of {name!r}: {changes[0].name!r} changes its temperature, whose stresses are not counted yet; "
+            "must be a motion without it"
+        )
     parts: list[tuple[Tensor, Tensor | None]] = []
     if getattr(body, "plates", None):
         plies = PlyHistory(motion, name)

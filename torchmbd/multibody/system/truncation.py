@@ -7,6 +7,7 @@
 
     joints   1 - (f / f0)^2 of the first elastic vibration of the system, and those up to twice as fast; f0 without C, f with it
     forces   w'R w beside the largest w'G w of forces (or moments) at the same frame, G = F' K^-1 F
+    changes  R beside G of the loads F of a change of temperature or moisture
 
 Of the present design at its initial position, drives held. Residual masses are left out. Bodies that were reduced elsewhere
 have no K, and no residual flexibility.
@@ -31,6 +32,7 @@ from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations
+from torchmbd.multibody.forces.temperature import ExpansionVector
 from torchmbd.multibody.joints.joint import Attached
 
 _NEAR = 2.0  # times the first elastic frequency: the highest frequency of a vibration that is compared
@@ -52,6 +54,7 @@ class StaticTruncation:
     frequencies   of the vibration without and with the residual flexibility [Hz]; None: the share is that of a force
     body, where   the body with the largest part of the residual flexibility, and its frame
     advice        a setting without this truncation
+    load          what acts, if it is no vibration
     """
 
     share: float
@@ -59,9 +62,10 @@ class StaticTruncation:
     body: str
     where: str
     advice: str
+    load: str = "a force at"
 
     def __str__(self) -> str:
-        what = f"{100 * self.share:.2g} % of the deflection of body {self.body!r} under a force at {self.where}"
+        what = f"{100 * self.share:.2g} % of the deflection of body {self.body!r} under {self.load} {self.where}"
         if self.frequencies is not None:
             with_modes, exact = self.frequencies
             what = (
@@ -88,7 +92,7 @@ class _Residual:
 
 
 def static_truncation(system: Any) -> StaticTruncation | None:
-    """The largest truncation of a system; None where no joint and no force acts on a flexible body of known stiffness."""
+    """The largest truncation of a system; None where nothing acts on a flexible body of known stiffness."""
     T = system.topology
     if not T.attached_flexible:
         return None
@@ -100,6 +104,7 @@ def static_truncation(system: Any) -> StaticTruncation | None:
         t = q.new_zeros(())
         at = equations.placement(T, dynamics.data, q, T.prescribed(t, dynamics.data))
         truncations = [_of_forces(residual, T, _action_loads(dynamics, at, v)) for residual in residuals if T.actions]
+        truncations += [_of_changes(system, dynamics, stages, i) for i, x in enumerate(T.attached) if isinstance(x, ExpansionVector)]
         if T.rows and T.n_v <= LARGEST and residuals:
             loads = _local(T, at, equations.force_on_vectors(T, at, torch.eye(T.rows, dtype=q.dtype)[:, None]))
             rest = Linearization.of(dynamics, q[:, 0, 0], t)
@@ -139,6 +144,25 @@ def _residual(system: Any, dynamics: Any, stages: dict[str, Tensor], k: int) -> 
     moved = torch.cat([mount.motion(x, psi.reshape(-1, *psi.shape[-3:])[0]) for mount in mounts])  # [6 mounts, modes]
     R = G - moved @ torch.linalg.solve(dynamics.data["Kr"][:n, :n, k, 0, 0], moved.T)
     return _Residual(body, k, mounts, 0.5 * (G + G.T), 0.5 * (R + R.T))
+
+
+def _of_changes(system: Any, dynamics: Any, stages: dict[str, Tensor], i: int) -> StaticTruncation | None:
+    """Truncation under the change of attached vector i; None where it loads nothing."""
+    T, vector = dynamics.topology, dynamics.topology.attached[i]
+    k = int(T.vector_flexible[i])
+    body, n = system.body(T.names[k]), T.mode_counts[k]
+    nodal = body.expansion.forces(vector.zone, vector.change)
+    nodal = nodal.reshape(-1, *nodal.shape[-2:])[0]
+    K, _ = body.flexibility()
+    F = body.assembly.freedoms.gathered(nodal[..., None])
+    G = float((F.T @ StaticLoads(K.pattern)(K, F)).squeeze())
+    psi = stages[body.name].detach()
+    work = torch.einsum("ni,nim->m", nodal, psi.reshape(-1, *psi.shape[-3:])[0])
+    R = G - float(work @ torch.linalg.solve(dynamics.data["Kr"][:n, :n, k, 0, 0], work))
+    if not G > 0.0:
+        return None
+    of = f" of part {vector.zone!r}" if vector.zone else ""
+    return StaticTruncation(R / G, None, body.name, f"{vector.change}{of}", "expansion=True of the body", "a change of")
 
 
 def _unit_loads(x: Tensor, mounts: Sequence[InterpolationConstraint], expand: Any, size: int) -> Tensor:

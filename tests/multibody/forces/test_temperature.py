@@ -1,0 +1,380 @@
+"""A change of temperature as a load: closed forms of plates and beams, residual stresses, frequencies, gradients, bad input."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import tensor
+from torchmbd.multibody.system.truncation import StaticTruncation
+
+GROUND = mbd.Ground()
+CARBON = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=28e-6, beta1=0.0, beta2=0.4)
+STEEL = mbd.Ply.isotropic(210e9, 0.0, 7850.0, alpha=12e-6)
+BRASS = mbd.Ply.isotropic(100e9, 0.0, 8500.0, alpha=19e-6)
+E, ALPHA, SIDE = 210e9, 12e-6, (0.02, 0.005)
+AREA, I_Y = SIDE[0] * SIDE[1], SIDE[0] * SIDE[1] ** 3 / 12.0
+kinds = pytest.mark.parametrize("kind", ["triangle", "quad"])
+
+
+def held(body: mbd.FlexibleBody, *forces: mbd.Temperature, **options: Any) -> mbd.System:
+    """The body held at its only reference node, where its frame is."""
+    (node,) = body.reference
+    x, y, z = (float(k) for k in body.origin)
+    body.position.copy_(tensor(x, y, z))
+    return mbd.System([body], [mbd.Fixed(GROUND.at(x, y, z), body.at(node))], list(forces), truncation=None, **options)
+
+
+def skewed(laminate: mbd.Laminate, kind: str, **options: Any) -> mbd.FlexibleBody:
+    """A plate of distorted cells, held at one node."""
+    flat = mbd.mesh.rectangle(0.3, 0.2, (4, 3), kind=kind)
+    x, y, z = flat.nodes.T
+    nodes = torch.stack([x + 0.1 * y + 0.4 * x * y, y + 0.3 * x * y, z], 1)
+    cells = {"triangles": flat.triangles} if kind == "triangle" else {"quads": flat.quads}
+    mesh = mbd.mesh.Mesh(nodes, **cells)
+    return mbd.FlexibleBody.plate("panel", mesh, laminate, 2, reference=5, expansion=True, **options)
+
+
+def displacements(body: mbd.FlexibleBody, *forces: mbd.Temperature) -> Tensor:
+    """Displacements and rotations of all nodes [n, 6] in the state of equilibrium."""
+    w = mbd.equilibrium(held(body, *forces)).body(body.name).w[0, 0]
+    return (body.structure()["psi"] @ w).detach()
+
+
+def strip(laminate: mbd.Laminate, **options: Any) -> mbd.FlexibleBody:
+    mesh = mbd.mesh.rectangle(0.2, 0.02, (8, 2))
+    return mbd.FlexibleBody.plate("strip", mesh, laminate, 2, reference="left", expansion=True, **options)
+
+
+def bar(section: Any = None, elements: int = 4, **options: Any) -> mbd.FlexibleBody:
+    metal = section or mbd.GivenSection.isotropic(E, 0.3, 7850.0, AREA, I_Y, 16.0 * I_Y, 3.0 * I_Y, alpha=ALPHA)
+    given: dict = {"modes": 2, "reference": "start", "expansion": True} | options
+    return mbd.FlexibleBody.beam("bar", mbd.BeamLine.straight(0.5, elements), metal, **given)
+
+
+@kinds
+def test_every_node_of_a_free_plate_moves_by_classical_lamination(kind):
+    """An unbalanced stack on distorted cells: u = eps x, w and rotations by the curvatures, exact for any mesh."""
+    laminate = mbd.Laminate(CARBON, mbd.deg([20, -50, 75]), [0.3e-3, 0.2e-3, 0.4e-3])
+    body = skewed(laminate, kind)
+    found = displacements(body, mbd.Temperature(body, -30.0, gradient=2e3, moisture=0.002))
+    free = laminate.expansion(-30.0, 2e3, 0.002)
+    x, y, _ = (body.mesh.nodes - body.origin).T
+    (ex, ey, exy), (kx, ky, kxy) = free.strain.detach(), free.curvature.detach()
+    slope = torch.stack([-(kx * x + 0.5 * kxy * y), -(0.5 * kxy * x + ky * y)])  # of w, which is zero at the origin
+    w = -0.5 * (kx * x**2 + kxy * x * y + ky * y**2)
+    in_plane = torch.stack([ex * x + 0.5 * exy * y, 0.5 * exy * x + ey * y, 0.0 * x], 1)
+    across = torch.stack([w, slope[1], -slope[0]], 1)
+    assert_close(found[:, [0, 1, 5]], in_plane, rtol=0, atol=1e-6 * float(in_plane.abs().max()))
+    assert_close(found[:, 2:5], across, rtol=0, atol=1e-6 * float(across.abs().max()))
+    assert float(in_plane.abs().max()) > 1e-7
+
+
+@kinds
+def test_a_quasi_isotropic_plate_expands_alike(kind):
+    laminate = mbd.Laminate(CARBON, mbd.deg([0, 60, -60]), 0.2e-3, symmetric=True)
+    body = skewed(laminate, kind)
+    d = 1 - 0.23**2 * 10.1 / 128
+    Q11, Q22, Q12 = 128 / d, 10.1 / d, 0.23 * 10.1 / d
+    alpha = (Q11 * -0.3e-6 + Q12 * (28e-6 - 0.3e-6) + Q22 * 28e-6) / (Q11 + Q22 + 2 * Q12)
+    found = displacements(body, mbd.Temperature(body, 80.0))
+    assert_close(found[:, :3], 80.0 * alpha * (body.mesh.nodes - body.origin), rtol=0, atol=1e-6 * 80.0 * alpha * 0.3)
+
+
+def test_bimetal_of_timoshenko():
+    """Deflection of the tip of a strip of two metals, kappa L^2 / 2 (Timoshenko 1925, eq. 4), by equilibrium and slowly."""
+    lower, upper, change, L = 0.8e-3, 1.3e-3, 75.0, 0.2
+    body = strip(mbd.Laminate([BRASS, STEEL], [0.0, 0.0], [lower, upper]), damping=0.01)
+    h, m, n = lower + upper, lower / upper, 100.0 / 210.0
+    curvature = 6 * (12e-6 - 19e-6) * change * (1 + m) ** 2 / (h * (3 * (1 + m) ** 2 + (1 + m * n) * (m**2 + 1 / (m * n))))
+    found = displacements(body, mbd.Temperature(body, change))[body.mesh.node("right"), 2]
+    assert float(found) == pytest.approx(-curvature * L**2 / 2, rel=1e-6)
+    body.damped(0.5)
+    ramp = held(body, mbd.Temperature(body, lambda t: change * (t / 0.5).clamp(max=1.0)))
+    motion = mbd.simulate(ramp, 1.0, steps=60, backend="eager").require_ok()
+    end = motion.body("strip").at("right").position[0, -1, 2].detach()
+    assert float(end) == pytest.approx(-curvature * L**2 / 2, rel=1e-4)
+    energies = motion.energies
+    assert float(energies.balance.abs().max()) < 1e-2 * float(energies.applied.abs().max())
+
+
+def test_residual_stresses_of_a_cross_ply():
+    """[0/90]s, free and cooled: the closed form of equal strains whose forces cancel; and none while it is held."""
+    change = -150.0
+    strong = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, mbd.examples.carbon().strength, 0.0, -0.3e-6, 28e-6)
+    body = skewed(mbd.Laminate(strong, mbd.deg([0, 90]), 0.25e-3, symmetric=True), "quad")
+    d = 1 - 0.23**2 * 10.1 / 128
+    Q11, Q22, Q12 = 128e9 / d, 10.1e9 / d, 0.23 * 10.1e9 / d
+    e = change * (Q11 * -0.3e-6 + Q12 * 27.7e-6 + Q22 * 28e-6) / (Q11 + Q22 + 2 * Q12)
+    along = Q11 * (e + 0.3e-6 * change) + Q12 * (e - 28e-6 * change)
+    across = Q12 * (e + 0.3e-6 * change) + Q22 * (e - 28e-6 * change)
+    plies = mbd.PlyHistory(mbd.equilibrium(held(body, mbd.Temperature(body, mbd.variable(change)))), "panel")
+    expected = tensor(along, across, 0.0, 0.0, 0.0).expand(1, 1, len(plies.points), 5)
+    assert_close(plies.stress().detach(), expected, rtol=0, atol=1e-6 * across)
+    strength = strong.strength
+    assert strength is not None
+    index = plies.failure("max_stress")
+    assert float(index) == pytest.approx(max(across / strength.Yt, -along / strength.Xc), rel=1e-6)
+
+
+@pytest.mark.thorough
+def test_a_zone_that_becomes_warmer_pulls_the_other():
+    """Two halves of a strip side by side: the section of Timoshenko's beam of two parts, heated in one of them."""
+    L, b = 0.2, 0.01
+    mesh = mbd.mesh.rectangle(L, 2 * b, (16, 4))
+    upper = mesh.nodes[mesh.quads].mean(1)[:, 1] > 0.0
+    plates = {
+        name: mbd.fem.elements.Plates(mesh, mbd.Laminate(STEEL, [0.0], 1e-3), cells=torch.nonzero(x)[:, 0])
+        for name, x in (("upper", upper), ("lower", ~upper))
+    }
+    body = mbd.FlexibleBody("panel", mesh, plates, 2, reference="left", expansion=["upper", "lower"])
+    assert len(body.expansion.loads) == 4
+    found = displacements(body, mbd.Temperature(body, 50.0, zone="upper"))
+    curvature = 1.5 * 12e-6 * 50.0 / (2 * b)  # of a step of the free strain over the depth 2 b: 3 / 2 strain / depth
+    nodes = [int((mesh.nodes - tensor(x, 0.0, 0.0)).norm(dim=1).argmin()) for x in (-0.05, 0.0, 0.05)]
+    before, middle, behind = found[nodes]
+    assert abs(float(before[1] - 2.0 * middle[1] + behind[1])) == pytest.approx(curvature * 0.05**2, rel=1e-2)
+    assert float(behind[0] - before[0]) == pytest.approx(0.5 * 12e-6 * 50.0 * 0.1, rel=1e-2)
+    both = displacements(body, mbd.Temperature(body, 50.0, zone="upper"), mbd.Temperature(body, 50.0, zone="lower"))
+    assert_close(both[:, :3], 12e-6 * 50.0 * (mesh.nodes - body.origin), rtol=0, atol=1e-10)
+    with pytest.raises(mbd.InputError, match="zone of 'panel' 'uper'.*did you mean 'upper'"):
+        mbd.Temperature(body, 50.0, zone="uper")
+
+
+def test_a_bar_between_walls_is_pressed():
+    """N = -E A alpha T, of metal by its numbers and of plies; and no stress where it is free."""
+    plies = mbd.sections.rectangle(*SIDE, mbd.Ply.isotropic(E, 0.3, 7850.0, alpha=ALPHA), cells=(2, 2))
+    for section in (None, plies):
+        body = bar(section)
+        walls = [mbd.Fixed(GROUND.at(x, 0, 0), body.at(end)) for x, end in ((0.0, "start"), (0.5, "end"))]
+        result = mbd.equilibrium(mbd.System([body], walls, [mbd.Temperature(body, 50.0)]))
+        beams = mbd.SectionHistory(result, "bar")
+        forces = beams.forces()[0, 0].detach()
+        assert_close(forces[:, 0], tensor(-E * AREA * ALPHA * 50.0).expand(8), rtol=1e-6, atol=0)
+        if section is not None:
+            assert_close(beams.stress()[0, 0, ..., 0].detach().mean(), tensor(-E * ALPHA * 50.0)[0], rtol=1e-6, atol=0)
+        free = mbd.SectionHistory(mbd.equilibrium(held(body, mbd.Temperature(body, 50.0, 30.0, -20.0))), "bar")
+        assert float(free.forces().detach().abs().max()) < 1e-6 * E * AREA * ALPHA * 50.0
+
+
+def test_gradients_of_temperature_bend_a_beam():
+    """Of an L-shaped line off its nodes: kappa = alpha T1, so each leg is an arc; the twist turns the gradients."""
+    body = mbd.FlexibleBody.beam(
+        "bar",
+        mbd.BeamLine.straight(0.5, 2),
+        mbd.GivenSection.isotropic(E, 0.3, 7850.0, AREA, I_Y, 16.0 * I_Y, 3.0 * I_Y, alpha=ALPHA),
+        1,
+        reference="start",
+        twist=0.3,
+        offset=(0.01, -0.02),
+        expansion=True,
+    )
+    found = displacements(body, mbd.Temperature(body, 40.0, gradient=30.0, gradient_y=-20.0))[-1]
+    c, s = math.cos(0.3), math.sin(0.3)
+    by_y, by_z = -20.0 * c - 30.0 * s, -20.0 * s + 30.0 * c  # along the axes of the beam
+    middle = ALPHA * (40.0 - 0.01 * by_y + 0.02 * by_z)  # at the line, off the axis of the section
+    expected = tensor(0.5 * middle, -ALPHA * by_y * 0.125, -ALPHA * by_z * 0.125)
+    assert_close(found[:3], expected, rtol=1e-6, atol=1e-15)
+
+
+def test_sections_of_plies_expand_as_laminates():
+    """A thin strip of [0/90]: curvature and strain of classical lamination; its residual stresses carry no force."""
+    section = mbd.sections.strip(0.02, CARBON, mbd.deg([0, 90]), thickness=0.125e-3)
+    free, plate = section.expansion("temperature"), mbd.Laminate(CARBON, mbd.deg([0, 90]), 0.125e-3).expansion(1.0)
+    assert float(free.strain[0]) == pytest.approx(float(plate.strain[0]), rel=2e-3)
+    assert float(free.strain[4]) == pytest.approx(float(plate.curvature[0]), rel=2e-3)
+    assert_close(section.free_strain("temperature"), free.strain, rtol=1e-9, atol=1e-15)
+    solid = mbd.sections.rectangle(*SIDE, mbd.Ply.isotropic(70e9, 0.3, 2700.0, alpha=23e-6), cells=(2, 2))
+    for change, place, sign in (("temperature", 0, 1.0), ("gradient", 4, 1.0), ("gradient_y", 5, -1.0)):
+        result = solid.expansion(change)
+        expected = sign * 23e-6 * torch.nn.functional.one_hot(torch.tensor(place), 6).double()
+        assert_close(result.strain.detach(), expected, rtol=1e-9, atol=1e-14)
+        assert float(result.stress.detach().abs().max()) < 1e-9 * 70e9 * 23e-6
+
+
+@pytest.mark.thorough
+def test_a_warm_beam_between_walls_vibrates_more_slowly():
+    """f^2 of a beam on two hinges is (1 - P / P_E) times that without load, of P = E A alpha T and Euler's load P_E."""
+    euler = math.pi**2 * E * I_Y / 0.5**2
+
+    def square(share: float) -> float:
+        body = bar(elements=8, modes=4, stiffening=True)
+        hinges = [mbd.Revolute(GROUND.at(x, 0, 0), body.at(end), "y") for x, end in ((0.0, "start"), (0.5, "end"))]
+        heat = mbd.Temperature(body, share * euler / (E * AREA * ALPHA))
+        system = mbd.System([body], hinges, [heat], truncation=None)
+        return float(mbd.equilibrium(system).vibrations[0].frequencies[0]) ** 2
+
+    rest = square(0.0)
+    assert square(0.5) / rest == pytest.approx(0.5, abs=3e-3)
+    assert square(-0.5) / rest == pytest.approx(1.5, abs=3e-3)
+
+
+@pytest.mark.thorough
+@kinds
+def test_a_warm_strip_between_walls_vibrates_as_a_beam(kind):
+    """A plate and a beam without contraction across, clamped at both ends, pressed by a quarter of their critical load."""
+    change = 0.25 * 4.0 * math.pi**2 * I_Y / (0.5**2 * AREA * ALPHA)
+    mesh = mbd.mesh.rectangle(0.5, SIDE[0], (12, 2), kind=kind)
+    options: dict = {"stiffening": True, "reduction": "craig-bampton", "expansion": True}
+
+    def shares(make: Any, at: float, start: str, end: str) -> float:
+        squares = []
+        for x in (0.0, change):
+            body = make()
+            walls = [mbd.Fixed(GROUND.at(at, 0, 0), body.at(start)), mbd.Fixed(GROUND.at(at + 0.5, 0, 0), body.at(end))]
+            system = mbd.System([body], walls, [mbd.Temperature(body, x)], truncation=None)
+            squares.append(float(mbd.equilibrium(system).vibrations[0].frequencies[0]) ** 2)
+        return squares[1] / squares[0]
+
+    def plate() -> mbd.FlexibleBody:
+        laminate, ends = mbd.Laminate(STEEL, [0.0], SIDE[1]), {"tip": "right_edge"}
+        return mbd.FlexibleBody.plate("strip", mesh, laminate, 5, reference="left_edge", interface=ends, **options)
+
+    found = shares(plate, -0.25, "left_edge", "tip")
+    expected = shares(lambda: bar(elements=12, modes=5, interface="end", **options), 0.0, "start", "end")
+    assert found == pytest.approx(expected, abs=4e-3)
+    assert expected == pytest.approx(0.757, abs=2e-3)
+
+
+SIZES = (1e-4, 1e-7, 1e-3, 0.1)  # steps of differences, of the unknowns of the next test
+
+
+def heated() -> mbd.System:
+    """An unbalanced plate that swings under gravity and a rising temperature, all numbers of which vary."""
+    ply = mbd.Ply(128e6, 10.1e6, 5.36e6, 5.36e6, 3.6e6, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=mbd.variable(28e-5))
+    laminate = mbd.Laminate(ply, mbd.deg([20, -50, 75]), [0.9e-3, 0.7e-3, 0.8e-3])
+    mesh = mbd.mesh.rectangle(0.2, 0.05, (3, 2))
+    options: dict = {"reference": "left_edge", "expansion": True, "stiffening": True}
+    body = mbd.FlexibleBody.plate("rod", mesh, laminate, 2, **options)
+    rising = mbd.forces.Scaled(mbd.variable(0.3), lambda t: torch.sin(30.0 * t))
+    heat = mbd.Temperature(body, rising, gradient=mbd.variable(100.0), name="heat")
+    body.position.copy_(tensor(-0.1, 0.0, 0.0))
+    hinge = mbd.Revolute(GROUND.at(-0.1, 0, 0), body.at("left_edge"), "y")
+    return mbd.System([body], [hinge], [heat], gravity=(0.0, 0.0, -9.81), truncation=None)
+
+
+@pytest.mark.thorough
+def test_gradients_forward_reverse_and_by_differences():
+    """Of displacements and ply stresses by angles, a coefficient, and both changes; the differences by compiled code."""
+    system = heated()
+    names = ["rod.laminate.angles", "rod.laminate.ply.alpha2", "heat.temperature", "heat.gradient"]
+    values = [system.get_parameter(name).detach().clone() for name in names]
+    directions = [h * torch.linspace(1.0, 2.0, x.numel(), dtype=x.dtype).reshape(x.shape) for h, x in zip(SIZES, values, strict=True)]
+
+    def measured(*x: Tensor, backend: str = "eager") -> Tensor:
+        options: dict = {"steps": 12, "backend": backend, "iterations": (9, 9), "refresh": 1}
+        motion = mbd.simulate(system, 0.03, designs=dict(zip(names, x, strict=True)), **options)
+        tip = motion.body("rod").at("right").position[:, -1]
+        stress = mbd.PlyHistory(motion, "rod").stress(slice(-1, None))[:, 0, ::7, :3]
+        return torch.cat([100.0 * tip, stress.flatten(1) / 1e4], 1)
+
+    lanes = [x.expand(16, *x.shape).clone() for x in values]
+    for k, direction in enumerate(directions):
+        for i, times in enumerate((1.0, -1.0, 2.0, -2.0)):
+            lanes[k][4 * k + i] += times * direction
+    ends = measured(*lanes, backend="native").detach().unflatten(0, (4, 4)).unbind(1)
+    differences = (8.0 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / 12.0
+    leaves = [x.clone().requires_grad_() for x in values]
+    weights = torch.cos(torch.arange(differences.shape[1], dtype=torch.float64))
+    reverse = torch.autograd.grad((measured(*leaves)[0] * weights).sum(), leaves)
+    for k, (name, direction) in enumerate(zip(names, directions, strict=True)):
+        tangents = tuple(direction if i == k else torch.zeros_like(x) for i, x in enumerate(values))
+        _, forward = torch.func.jvp(measured, tuple(values), tangents)
+        size = float(differences[k].abs().max())
+        assert size > 0.0, name
+        assert_close(forward[0], differences[k], rtol=0, atol=1e-6 * size)
+        assert float((reverse[k] * direction).sum()) == pytest.approx(float(forward[0] @ weights), rel=1e-8)
+
+
+def test_modes_without_the_shape_are_reported():
+    """Few vibration modes have no stretching: the share of the work that is missing, and none with expansion=True."""
+    laminate = mbd.Laminate(CARBON, mbd.deg([0, 90]), 0.2e-3, symmetric=True)
+    shares = []
+    for expansion in (False, True):
+        mesh = mbd.mesh.rectangle(0.2, 0.05, (4, 2))
+        body = mbd.FlexibleBody.plate("panel", mesh, laminate, 3, reference="left", expansion=expansion)
+        hold = mbd.Fixed(GROUND.at(-0.1, 0, 0), body.at("left"))
+        body.position.copy_(tensor(-0.1, 0.0, 0.0))
+        found = mbd.System([body], [hold], [mbd.Temperature(body, 10.0)]).static_truncation()
+        assert isinstance(found, StaticTruncation)
+        shares.append(found.share)
+        if not expansion:
+            assert "deflection of body 'panel' under a change of temperature; better: expansion=True" in str(found)
+    assert shares[0] > 0.99
+    assert abs(shares[1]) < 1e-9
+
+
+def test_shapes_that_modes_or_others_have_are_not_added_twice():
+    """Moisture of a metal expands it as temperature does: one shape."""
+    metal = mbd.Ply.isotropic(70e9, 0.3, 2700.0, alpha=23e-6, beta=0.1)
+    body = skewed(mbd.Laminate(metal, [0.0], 1e-3), "quad")
+    assert body.reduction.shapes is not None
+    assert [body.expansion.loads[k] for k in body.reduction.shapes.columns] == [(None, "temperature"), (None, "gradient")]
+    assert body.modes in body.mode_counts
+    wet, warm = mbd.Temperature(body, moisture=0.003), mbd.Temperature(body, 0.003 * 0.1 / 23e-6)
+    assert_close(displacements(body, wet), displacements(body, warm), rtol=0, atol=1e-12)
+
+
+@pytest.mark.thorough
+def test_a_finer_mesh_and_more_modes_have_the_same_expansion():
+    body = strip(mbd.Laminate(CARBON, mbd.deg([0, 90]), 0.125e-3))
+    system = held(body, mbd.Temperature(body, lambda t: 1.0 + 0.1 * t))
+    motion = mbd.simulate(system, 0.02, steps=10, backend="eager", start="equilibrium")
+    response = mbd.Final(mbd.Displacement("strip", "z", node="right"))
+    error = motion.error_of(response)
+    assert error.by_mesh is not None and error.by_modes is not None
+    assert float(error.by_mesh.abs()) < 1e-3 * float(error.value.abs())
+    assert float(error.by_modes.abs()) < 1e-3 * float(error.value.abs())
+
+
+def test_bad_changes_are_named():
+    bare = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0)
+    body = skewed(mbd.Laminate(CARBON, [0.0], 1e-3), "quad")
+    cold = mbd.FlexibleBody.plate("cold", body.mesh, mbd.Laminate([CARBON, bare], [0.0, 0.3], 1e-3), 2)
+    steel = mbd.GivenSection.isotropic(E, 0.3, 7850.0, AREA, I_Y, I_Y, 2.0 * I_Y)
+    box = mbd.RigidBody("box", 1.0, (1.0, 1.0, 1.0))
+    for make, words in (
+        (lambda: mbd.Temperature(box, 1.0), ["Temperature acts on", "a flexible body of plates or beams"]),
+        (lambda: mbd.Temperature(body, float("nan")), ["temperature of 'temperature_panel'", "finite"]),
+        (lambda: mbd.Temperature(body, lambda t: t / 0.0 * 0.0), ["temperature_panel", "finite"]),
+        (lambda: mbd.Temperature(body, "hot"), ["temperature of 'temperature_panel'", "hot"]),  # pyright: ignore
+        (lambda: mbd.Temperature(body, gradient_y=2.0), ["gradient_y of 'temperature_panel'", "gradient, moisture"]),
+        (lambda: mbd.Temperature(body, 1.0, zone="skin"), ["zone of 'panel'", "'skin'", "plate"]),
+        (lambda: mbd.Temperature(cold, 1.0), ["part 'plate' of body 'cold'", "layer 1", "no alpha1"]),
+        (lambda: mbd.Temperature(bar(), moisture=0.1), ["part 'section0' of body 'bar'", "moisture"]),
+        (lambda: bar(steel), ["expansion of 'bar'", "section0", "alpha"]),
+        (lambda: bar(expansion=["section7"]), ["zone of 'bar'", "section7"]),
+        (lambda: bar(expansion=3), ["expansion of 'bar'", "True, False, or names of parts"]),
+        (
+            lambda: mbd.GivenSection.isotropic(E, 0.3, 7850.0, AREA, I_Y, I_Y, 2.0 * I_Y, alpha=float("inf")),
+            ["alpha", "inf", "finite"],
+        ),
+    ):
+        with pytest.raises(mbd.InputError) as error:
+            make()
+        for word in words:
+            assert word in str(error.value), str(error.value)
+
+
+def test_what_does_not_know_temperatures_refuses_them():
+    strength = mbd.examples.carbon().strength
+    ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, strength, 0.0, -0.3e-6, 28e-6)
+    body = strip(mbd.Laminate(ply, mbd.deg([0, 90]), 0.125e-3))
+    system = held(body, mbd.Temperature(body, lambda t: torch.sin(t), name="heat"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        motion = mbd.simulate(system, 0.01, steps=4, backend="eager")
+    for response in (mbd.FatigueDamage("strip", exponent=10.0), mbd.Max(mbd.BucklingIndex("strip"))):
+        with pytest.raises(mbd.InputError, match="'heat' changes its temperature"):
+            response(motion)
+    phases = [mbd.Phase(until=0.005), mbd.Phase(laws={"heat": mbd.forces.OfTime(1.0)})]
+    with_phases = mbd.simulate(system, 0.01, steps=4, phases=phases, backend="eager")
+    with pytest.raises(mbd.InputError, match="'heat', for which a phase of this motion has another law"):
+        mbd.PlyHistory(with_phases, "strip")
