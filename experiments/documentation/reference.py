@@ -33,7 +33,7 @@ GROUPS: dict[str, str] = {
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed JointCoupling Drive "
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "
-    "Pressure AxialStop RotationalStop PlaneContact forces variable",
+    "Pressure Temperature AxialStop RotationalStop PlaneContact forces variable",
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import CARBON, laminate, box, plate, random_state, tensor, turned
+from tests.mechanisms import CARBON, box, laminate, plate, random_state, tensor, turned
 from torchmbd.math.elementwise import partial_derivatives
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.equations import equations

@@ -1,6 +1,8 @@
 """Ply strains, stresses and failure of a flexible plate along a motion.
 
-    stress(t) = basis w(t),      basis = ply values of the body's modes (fem/elements/plate.py)
+    stress(t) = basis w(t) - sum Q e T(t),      basis = ply values of the body's modes (fem/elements/plate.py)
+
+Q e T   stress of the free strain e T of a ply by a change T of temperature or moisture (forces/temperature.py)
 
 Points of a body run over its laminates, their cells, layers from the bottom, and the two faces of each layer;
 `points` names them.
@@ -36,7 +38,9 @@ class PlyHistory:
 
     motion    a Trajectory
     name      of the body
-    basis     ply strains and stresses of the modes [lanes, points, 5, modes], components as in PLY_COMPONENTS
+    basis     ply strains and stresses of the modes, and of unit changes of temperature or moisture behind them
+              [lanes, points, 5, coordinates], components as in PLY_COMPONENTS
+    w         modal coordinates, and these changes [lanes, times, coordinates]
     points    cell, layer and face (0 bottom, 1 top) of each point [points, 3]
     strength  numbers of the ply's Strength at each point [lanes, points, 8]; None where a ply has none
 
@@ -62,7 +66,9 @@ class PlyHistory:
         body = motion.system.body(name)
         require_plies(body)
         changes = changes_of(motion, body)
-        self.basis, self.strength, coordinates = motion.of_designs(lambda: _recovered(body, view.psi, changes, motion.t))
+        self.basis, self.strength, coordinates = motion.of_designs(
+            lambda: _recovered(body, view.psi, changes, motion.t)
+        )
         self.w = torch.cat([view.w, coordinates], -1) if changes else view.w
         points = (ply_points(part.matrices, part.laminate) for part in body.plates.values())
         self.points = torch.cat(list(points))
@@ -155,7 +161,7 @@ def require_plies(body: object) -> None:
 
 
 def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
-    """The changes of temperature and moisture of a body; InputError where a phase of the motion has laws of its own for them."""
+    """The changes of temperature and moisture of a body; InputError where a phase of the motion has other laws for them."""
     changes = [force for force in motion.system.forces if isinstance(force, Temperature) and force.body is body]
     for actions in motion.actions:  # of each phase
         laws = {id(law) for action in actions for law in action.laws}
@@ -171,14 +177,18 @@ def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
 def _recovered(
     body: Any, psi: Tensor, changes: Sequence[Temperature], times: Tensor
 ) -> tuple[PlyBasis, Tensor | None, Tensor]:
-    """Ply values of modes, then of unit changes that are held, strengths, and these changes [lanes, times, k], of the design."""
+    """Ply values of modes and of held unit changes, strengths, and the changes [lanes, times, k], of the present design."""
     lanes = len(psi)
     parts = [ply_basis(part.matrices, part.laminate, psi) for part in body.plates.values()]
     strain, stress = (torch.cat([x.expand(lanes, -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
     held, coordinates = [], [psi.new_zeros(lanes, len(times), 0)]
     for force in changes:
         for change, history in force.histories(times).items():
-            held.append(torch.cat([_held(force, key, part, change).expand(lanes, -1, -1) for key, part in body.plates.items()], 1))
+            held.append(
+                torch.cat(
+                    [_held(force, key, part, change).expand(lanes, -1, -1) for key, part in body.plates.items()], 1
+                )
+            )
             coordinates.append(history.expand(lanes, -1)[..., None])
     if held:
         columns = -torch.stack(held, -1)

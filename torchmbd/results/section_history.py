@@ -6,6 +6,9 @@
 forces   section forces of the body's modes (fem/elements/beams.py)
 unit     stresses of the section under unit forces (fem/sections/section.py)
 
+A change of temperature or moisture (forces/temperature.py) subtracts the forces of its free strains, and adds the stresses that
+remain in a free section.
+
 Forces vary linearly along an element, so its ends are where a stress is largest. The failure index of a body is the
 largest over ends and points; its derivative is that of the point of this largest index, exact wherever this point is unique.
 The criteria are those of plies (fem/materials/strength.py): the stress through the ply, 33, is in `stress`, but not judged.
@@ -16,6 +19,7 @@ Checked in tests/results/test_section_history.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -39,7 +43,7 @@ _OF_PLY = [0, 1, 5, 4, 3]
 
 
 class _Part(NamedTuple):
-    """Recovery of one part. Changes of temperature and moisture are coordinates after the modes, and loads after the six forces.
+    """Recovery of one part. Changes of temperature are coordinates after the modes, and loads after the six forces.
 
     forces   loads at the ends by coordinates
     unit     stresses by loads; those of changes are the stresses of the free section

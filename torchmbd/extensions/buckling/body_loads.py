@@ -50,8 +50,8 @@ def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
     temperature or moisture changes."""
     if changes := changes_of(motion, body):
         raise InputError(
-            f"loads on {body.name!r}: {changes[0].name!r} changes its temperature, whose stress is not part of buckling along a "
-            "motion yet. Try: stiffening=True and the frequencies of mbd.equilibrium"
+            f"loads on {body.name!r}: {changes[0].name!r} changes its temperature, whose stress is not part of buckling "
+            "along a motion yet. Try: stiffening=True and the frequencies of mbd.equilibrium"
         )
     laws = [law for kind in motion.system.topology.actions for law in kind.laws]
     for kinds in motion.actions:  # of each phase

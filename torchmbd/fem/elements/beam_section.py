@@ -235,7 +235,7 @@ class IsotropicSection(Numbers):
         return _isotropic_strain(self().alpha, change)
 
 
-#: Place and sign of the strain eps, kappa_y or kappa_z of a homogeneous section by a change: eps(y, z) = eps + z kappa_y - y kappa_z.
+#: Change -> place and sign of the strain of a homogeneous section; the strain at (y, z) is eps + z kappa_y - y kappa_z.
 _BY_TEMPERATURE = {"temperature": (0, 1.0), "gradient": (4, 1.0), "gradient_y": (5, -1.0)}
 
 

@@ -154,7 +154,9 @@ class Plates:
         """Forces and moments on all nodes that cause the free expansion by a unit change."""
         laminate = self.laminate
         held = laminate.held_expansion(**{change: 1.0})
-        return self.matrices.expansion_forces(torch.cat([held.force, held.moment], -1), self.matrices.moved_mean(laminate))
+        return self.matrices.expansion_forces(
+            torch.cat([held.force, held.moment], -1), self.matrices.moved_mean(laminate)
+        )
 
     def modules(self) -> dict[str, nn.Module]:
         """The laminate."""

@@ -78,7 +78,8 @@ class Ply(Lamina):
     alpha1, alpha2  coefficients of thermal expansion along and across the fiber [1/K]
     beta1, beta2    coefficients of moisture expansion: strain per change of the moisture, which is a share of the mass [-]
 
-    Laminate.expansion needs these coefficients: it refuses a change of temperature or moisture if they are None.
+    Laminate.expansion and mbd.Temperature need these coefficients: they refuse a change of temperature or moisture if they are
+    None.
 
     A number may be mbd.variable(...): a design variable of the laminates and sections that are made of the ply, "ply.E1".
 

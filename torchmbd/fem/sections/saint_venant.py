@@ -79,7 +79,10 @@ def unit_fields(problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*
 
 
 def held_stress(
-    problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*lanes layers 6 6"], free: Float[Tensor, "*lanes m g 6 1"]
+    problem: WarpingProblem,
+    g: SectionGeometry,
+    D: Float[Tensor, "*lanes layers 6 6"],
+    free: Float[Tensor, "*lanes m g 6 1"],
 ) -> Float[Tensor, "*lanes m g 6 1"]:
     """Return the stress of free strains in a section whose generalized strains are zero; its warping is free."""
     held = -free

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -66,10 +65,14 @@ class Expansion:
                 raise InputError(f"part {key!r} of body {self.name!r}: {error}") from None
             total = forces if total is None else total + forces
         if total is None:
-            raise InputError(change, allowed=" or ".join(self.changes(zone)), noun=f"change of {self.name!r}", state=f"is {change}")
+            raise InputError(
+                change, allowed=" or ".join(self.changes(zone)), noun=f"change of {self.name!r}", state=f"is {change}"
+            )
         return total
 
-    def second_order(self, zone: str | None, change: str, psi: Float[Tensor, "*lanes n 6 m"]) -> Float[Tensor, "*lanes m m"]:
+    def second_order(
+        self, zone: str | None, change: str, psi: Float[Tensor, "*lanes n 6 m"]
+    ) -> Float[Tensor, "*lanes m m"]:
         """Second derivative of the work of a unit change on the modes: minus their geometric stiffness under the stress of the
         body that is held at its reference (stiffening.py)."""
         members, freedoms = self.expanding(zone), self.assembly.freedoms
@@ -96,7 +99,9 @@ class Expansion:
         allowed = "True, False, or names of parts of the body"
         if not isinstance(zones, (bool, str, list, tuple)):
             raise InputError((self.name, "expansion"), zones, allowed, noun=f"expansion of {self.name!r}")
-        chosen: list[str | None] = [None] * zones if isinstance(zones, bool) else [zones] if isinstance(zones, str) else [*zones]
+        chosen: list[str | None] = (
+            [None] * zones if isinstance(zones, bool) else [zones] if isinstance(zones, str) else [*zones]
+        )
         if not chosen:
             return None
         self.loads, refused = [], []

@@ -74,7 +74,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
     parts   name -> part of the assembly
     links   nodes that follow others
     rigid   sets of nodes that move as one rigid body each; frames and interfaces may be on the first node, which leads the set
-    name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated, stiffening, expansion   as in `plate`
+    name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface   as in `plate`
+    updated, stiffening, expansion   as in `plate`
 
     >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
     >>> plate = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
@@ -149,7 +150,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         kept = interfaces.kept
         self.expansion, self.expansion_zones = Expansion(name, self.parts, self.assembly), expansion
         shapes = self.expansion.shapes(expansion)
-        self.reduction, self.modes = reduced(name, self.assembly, reduction, modes, kept, self.reference, updated, shapes)
+        self.reduction, self.modes = reduced(
+            name, self.assembly, reduction, modes, kept, self.reference, updated, shapes
+        )
         stiffens = true_or_false(f"stiffening of {name!r}", stiffening)
         self.stiffening = Stiffening(name, self.assembly) if stiffens else None
         self.damping = ModalDamping(name, damping)
@@ -248,8 +251,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass            "lumped" (eq. 2), or "consistent", for comparison
         rigid           node sets that move as one rigid body each
         stiffening      True: displacements of second order, so that spin and forces of joints stiffen it (stiffening.py)
-        expansion       True: static shapes of changes of temperature and moisture beside the modes, for mbd.Temperature; names of
-                        parts that change alone: those of each (expansion.py)
+        expansion       True: static shapes of changes of temperature and moisture beside the modes, for mbd.Temperature; names
+                        of parts: the shapes of each part that changes alone (expansion.py)
         direction       the laminate's x-axis in mesh axes, projected into each cell: [3], one for each [m, 3], or a rule for
                         curved shells: mbd.mesh.around, mbd.mesh.along, mbd.mesh.in_system, or {"around": {"axis": [0, 0, 1]}}
         """

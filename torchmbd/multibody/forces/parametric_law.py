@@ -60,7 +60,7 @@ class LawVariables:
     @property
     def numbers(self) -> Mapping[str, Tensor]:
         """The design variables by name, in the present design."""
-        return self._numbers
+        return dict(self._numbers.items())
 
     def law(self, law: Any, **names: str) -> Any:
         """The law with its numbers checked; design variables get the names of their fields, or those of field -> name."""

@@ -6,8 +6,8 @@ Q acts on the modal coordinates w alone. It is that of the action Along: the vec
 has the coordinate b . A e_x = F' Psi w along the body's x-axis, whatever the rotation A. So a change of temperature is data of
 compiled code and has derivatives by the design as every force has.
 The stress of a ply is that of the strain less its free strain (results/ply_history.py).
-In a body with stiffening the stress of the held change, that of K^-1 F less that of the free strain, acts on the displacements of
-second order as well.
+In a body with stiffening the stress of the change, that of K^-1 F less that of the free strain, acts on the displacements of
+second order: a body that is held at both ends vibrates more slowly when it is warm.
 Assumed: moduli and coefficients do not depend on temperature or moisture; the change is constant in each zone, and linear
 through the thickness.
 Source: as of fem/materials/expansion.py; T. J. R. Hughes, The Finite Element Method (1987), initial strains.
@@ -24,7 +24,6 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import CHANGES
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Along
 from torchmbd.multibody.forces.force import Applied, ForceElement
@@ -97,14 +96,18 @@ class Temperature(ForceElement):
     ):
         if getattr(body, "expansion", None) is None:
             raise InputError(f"Temperature acts on {body!r}: must be a flexible body of plates or beams")
-        super().__init__((body.at(body.reference[0]),), name or "_".join(["temperature", body.name, *([zone] if zone else [])]))
+        super().__init__(
+            (body.at(body.reference[0]),), name or "_".join(["temperature", body.name, *([zone] if zone else [])])
+        )
         self.body, self.zone = body, zone
         given = {"temperature": temperature, "gradient": gradient, "gradient_y": gradient_y, "moisture": moisture}
         self.changes = {key: x for key, x in given.items() if isinstance(x, Tensor) or callable(x) or x != 0.0}
         known = body.expansion.changes(zone)
         for change in self.changes:
             if change not in known:
-                raise InputError(change, allowed=f"{', '.join(known)}", noun=f"{change} of {self.name!r}", state="is given")
+                raise InputError(
+                    change, allowed=f"{', '.join(known)}", noun=f"{change} of {self.name!r}", state="is given"
+                )
             with torch.no_grad():
                 body.expansion.forces(zone, change)  # the plies have the coefficients
         self.laws = {change: check_law(self.name, self._law(change, x)) for change, x in self.changes.items()}

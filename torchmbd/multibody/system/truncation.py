@@ -104,7 +104,9 @@ def static_truncation(system: Any) -> StaticTruncation | None:
         t = q.new_zeros(())
         at = equations.placement(T, dynamics.data, q, T.prescribed(t, dynamics.data))
         truncations = [_of_forces(residual, T, _action_loads(dynamics, at, v)) for residual in residuals if T.actions]
-        truncations += [_of_changes(system, dynamics, stages, i) for i, x in enumerate(T.attached) if isinstance(x, ExpansionVector)]
+        truncations += [
+            _of_changes(system, dynamics, stages, i) for i, x in enumerate(T.attached) if isinstance(x, ExpansionVector)
+        ]
         if T.rows and T.n_v <= LARGEST and residuals:
             loads = _local(T, at, equations.force_on_vectors(T, at, torch.eye(T.rows, dtype=q.dtype)[:, None]))
             rest = Linearization.of(dynamics, q[:, 0, 0], t)
