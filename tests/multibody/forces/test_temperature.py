@@ -37,7 +37,7 @@ def skewed(laminate: mbd.Laminate, kind: str, **options: Any) -> mbd.FlexibleBod
     flat = mbd.mesh.rectangle(0.3, 0.2, (4, 3), kind=kind)
     x, y, z = flat.nodes.T
     nodes = torch.stack([x + 0.1 * y + 0.4 * x * y, y + 0.3 * x * y, z], 1)
-    cells = {"triangles": flat.triangles} if kind == "triangle" else {"quads": flat.quads}
+    cells: dict = {"triangles": flat.triangles} if kind == "triangle" else {"quads": flat.quads}
     mesh = mbd.mesh.Mesh(nodes, **cells)
     return mbd.FlexibleBody.plate("panel", mesh, laminate, 2, reference=5, expansion=True, **options)
 
@@ -257,7 +257,8 @@ def heated() -> mbd.System:
     mesh = mbd.mesh.rectangle(0.2, 0.05, (3, 2))
     options: dict = {"reference": "left_edge", "expansion": True, "stiffening": True}
     body = mbd.FlexibleBody.plate("rod", mesh, laminate, 2, **options)
-    rising = mbd.forces.Scaled(mbd.variable(0.3), lambda t: torch.sin(30.0 * t))
+    factor: Any = mbd.variable(0.3)
+    rising = mbd.forces.Scaled(factor, lambda t: torch.sin(30.0 * t))
     heat = mbd.Temperature(body, rising, gradient=mbd.variable(100.0), name="heat")
     body.position.copy_(tensor(-0.1, 0.0, 0.0))
     hinge = mbd.Revolute(GROUND.at(-0.1, 0, 0), body.at("left_edge"), "y")
@@ -291,7 +292,7 @@ def test_gradients_forward_reverse_and_by_differences():
     leaves = [x.clone().requires_grad_() for x in values]
     weights = torch.cos(torch.arange(differences.shape[1], dtype=torch.float64))
     reverse = torch.autograd.grad((measured(*leaves)[0] * weights).sum(), leaves)
-    _, forward = torch.func.jvp(measured, tuple(values), tuple(directions))
+    forward: Any = torch.func.jvp(measured, tuple(values), tuple(directions))[1]
     together = differences.sum(0)
     assert_close(forward[0], together, rtol=0, atol=1e-6 * float(together.abs().max()))
     for name, bar, direction, column in zip(names, reverse, directions, differences, strict=True):
