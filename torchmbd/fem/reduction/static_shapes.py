@@ -49,7 +49,7 @@ class StaticShapes:
     def choose(self, basis: ModalBasis, K: SparseMatrix, M: Matrix) -> None:
         """Choose the columns: those that are independent of the modes of the first design and of each other."""
         chosen: list[int] = []
-        U = self._static(K, self.loads())[..., :, :]
+        U = self._static(K, self.loads())
         U = U.reshape(-1, *U.shape[-2:])[:1]
         vectors = basis.vectors.reshape(-1, *basis.vectors.shape[-2:])[:1]
         for k in range(U.shape[-1]):
