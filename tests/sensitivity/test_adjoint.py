@@ -14,6 +14,7 @@ from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
 from torchmbd.examples.slider_crank import build
 from torchmbd.integrate import adjoint, adjoint_solver, pullback
+from torchmbd.integrate.phases.adjoint import RunAdjoint
 from torchmbd.multibody.system import System
 from torchmbd.results import history
 
@@ -35,6 +36,12 @@ def everything(motion: mbd.Trajectory) -> Tensor:
     weights = [torch.sin(torch.arange(x[0].numel(), dtype=x.dtype)).reshape(x.shape[1:]) for x in parts]
     total = sum((w * x + w * w * x * x).flatten(1).sum(1) for w, x in zip(weights, parts, strict=True))
     return torch.stack([total, motion.q[:, -1].square().sum(1)], 1)
+
+
+def the_adjoint(motion: mbd.Trajectory) -> RunAdjoint:
+    """Of a motion whose gradients were asked for once, and whose lanes were integrated together."""
+    ((run,),) = motion.integration.adjoint._runs.values()
+    return run.adjoint
 
 
 @pytest.mark.thorough
@@ -67,12 +74,12 @@ def test_compiled_and_eager_agree(name, native):
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 2)}
     motion = finished(mbd.simulate(system, duration, gradients="reverse", backend="native", **options))
     fast = differentiate(everything, motion).gradient
-    own = motion.integration.adjoint
-    ((inputs, [solver]),) = own._solvers.items()
+    own = the_adjoint(motion)
+    ((inputs, solver),) = own.solvers.items()
     assert type(solver) is not adjoint_solver.AdjointSolver
     assert solver.code is not None
     assert float(own.error.max()) < 1e-6
-    own._solvers[inputs] = [adjoint_solver.AdjointSolver(solver.grid)]
+    own.solvers[inputs] = adjoint_solver.AdjointSolver(solver.grid)
     eager = differentiate(everything, motion).gradient
     assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
 
@@ -120,12 +127,12 @@ def test_the_compiled_error_is_the_largest_of_all_steps(native):
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 1)}
     motion = finished(mbd.simulate(system, duration, gradients="reverse", backend="native", **options))
     differentiate(everything, motion)
-    own = motion.integration.adjoint
-    ((inputs, [solver]),) = own._solvers.items()
+    own = the_adjoint(motion)
+    ((inputs, solver),) = own.solvers.items()
     assert type(solver) is not adjoint_solver.AdjointSolver
     compiled_error = own.error.clone()
     own.error.zero_()
-    own._solvers[inputs] = [adjoint_solver.AdjointSolver(solver.grid)]
+    own.solvers[inputs] = adjoint_solver.AdjointSolver(solver.grid)
     differentiate(everything, motion)
     assert_close(compiled_error, own.error, rtol=0.1, atol=0)
 

@@ -13,9 +13,13 @@ agree within what their iterations leave. mu comes from the factors of the itera
 itself, with corrections until they are small. b are the numbers of the reduced model: torch differentiates the structure
 stage that they come from.
 
+Lanes of one run go back together (`RunAdjoint`, phases/adjoint.py), from its last segment to its first: a motion without phases
+has one. Lanes that were integrated again are those of another run, by other steps (retries.py). Mode shapes, which events and
+impacts read, go back through the structure stage.
 `Adjoint` is kept by the integration (reverse_integration.py); the steps are those of an `AdjointSolver` (adjoint_solver.py), or
-of another backend. phases/adjoint.py is the adjoint through phases. Methods of torchdiffeq have none.
-Checked in tests/sensitivity/test_adjoint.py, tests/contracts/test_adjoint.py (all joints and forces).
+of another backend. Methods of torchdiffeq have none.
+Checked in tests/sensitivity/test_adjoint.py, tests/sensitivity/test_phase_adjoint.py, tests/contracts/test_adjoint.py (all joints
+and forces), tests/integrate/phases/test_retries.py.
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
 """
 
@@ -23,26 +27,120 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from itertools import chain
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import warn
-from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid, MotionCotangents, rows_of
-from torchmbd.integrate.backend import backend_of
-from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.prepared import differentiable, prepare
-from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.results.history import History, segments
-from torchmbd.results.state import State
+from torchmbd.integrate.adjoint_solver import of_kept_states
+from torchmbd.integrate.initial_value import InitialValueProblem
+from torchmbd.integrate.outputs import STATES, Outputs
+from torchmbd.integrate.phases.adjoint import RunAdjoint
+from torchmbd.integrate.phases.lane_leaves import Key, add_lanes, pulled_back
+from torchmbd.integrate.retries import LaneResults
+from torchmbd.results.mode_shapes import DesignShapes
+from torchmbd.results.motion_data import has_failed
 
 # Estimated relative errors of mu. The largest gradient of a response has 100 times that at most, as measured.
 INACCURATE = 1e-5  # worth a warning
 
 
-def warn_inaccurate(error: Tensor) -> None:
+class LanesOfRun(NamedTuple):
+    """Lanes of a batch that one run integrated.
+
+    adjoint    of the run, of these lanes;  lanes: their numbers in the batch
+    substeps   steps of the run for each of the batch
+    """
+
+    adjoint: RunAdjoint
+    lanes: list[int]
+    substeps: int
+
+    def of_run(self, x: Tensor | None) -> Tensor | None:
+        """Cotangents [..., lanes] of the lanes of the run, zero where a lane of the batch is not one of it."""
+        sources, count = self.adjoint.lanes, self.adjoint.run.whole.lanes
+        if x is None or self.lanes == sources == list(range(count)) == list(range(x.shape[-1])):
+            return x
+        result = x.new_zeros(*x.shape[:-1], count)
+        result[..., sources] = x[..., self.lanes] if x.shape[-1] > 1 else x
+        return result
+
+    def of_outputs(self, bar: Outputs) -> Outputs:
+        """Cotangents of the states at the steps of the run, its data and its switches, from those of the batch."""
+        pairs, count = zip(bar.states, list(bar.at_steps[:STATES]) or [None] * STATES, strict=True), len(self.adjoint.run.q)
+        states = [(self.of_run(at_times), self.of_run(at_steps)) for at_times, at_steps in pairs]
+        return bar._replace(
+            states=[of_kept_states(*x, count, self.substeps) for x in states],
+            data={name: self.of_run(x) for name, x in bar.data.items()},
+            switches=[[self.of_run(x) for x in numbers] for numbers in bar.switches],
+        )
+
+
+@dataclass(eq=False)
+class Adjoint:
+    """The adjoint of the motion of a problem by a one-step method: zero of lanes that have failed."""
+
+    problem: InitialValueProblem
+    results: LaneResults
+    _runs: dict[tuple[str, ...], list[LanesOfRun]] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def error(self) -> Tensor:
+        """Estimated relative error of the gradients asked for so far [lanes]."""
+        result = torch.zeros(len(self.results.status), dtype=torch.float64)
+        for run in chain(*self._runs.values()):
+            result[run.lanes] = result[run.lanes].maximum(run.adjoint.error[run.adjoint.lanes])
+        return result
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what holds a graph, or a library of a backend; it is made again where it is needed."""
+        return vars(self) | {"_runs": {}}
+
+    def __call__(self, bar: Outputs, rows: int, names: Sequence[str], by_designs: bool) -> dict[str, Tensor]:
+        """Cotangents by data of these names, and by designs where wanted [component..., rows, lanes]."""
+        parts = [(run.lanes, run.adjoint(run.of_outputs(bar), rows)) for run in self.runs(tuple(names))]
+        _warn_inaccurate(self.error)
+        total, count = {}, len(self.results.status)
+        for key in {key: None for _, part in parts for key in part}:
+            total[key] = _joined([(lanes, part[key]) for lanes, part in parts if key in part], key, count)
+        result = {}
+        for name in names:
+            x = self.problem.dynamics.data[name]
+            of_data = total.get(("data", name))
+            zero = of_data is None
+            result[name] = x.new_zeros(*x.shape[:-2], rows, count) if zero else of_data[..., 0, :].movedim(0, -2)
+        return result | (self._of_designs(total, rows) if by_designs else {})
+
+    def runs(self, names: tuple[str, ...]) -> list[LanesOfRun]:
+        """Lanes that have not failed, by their runs; gradients are wanted by data of these names."""
+        if names not in self._runs:
+            history, runs = self.results.history, {}
+            for lane, status in enumerate(self.results.status):
+                if has_failed(status):
+                    continue
+                refined = history.refined.get(lane)
+                run, source, substeps = (history.run, lane, 1) if refined is None else (refined.history.run, *refined[1:])
+                of_run = runs.setdefault(id(run), LanesOfRun(RunAdjoint(run, names, []), [], substeps))
+                of_run.lanes.append(lane)
+                of_run.adjoint.lanes.append(source)
+            self._runs[names] = list(runs.values())
+        return self._runs[names]
+
+    def _of_designs(self, by: dict[Key, Tensor], rows: int) -> dict[str, Tensor]:
+        """Their own, and those of the mode shapes through the structure stage."""
+        whole, count = self.problem.views.whole, len(self.results.status)
+        keys = [key for key in by if key[0] != "data"]
+        with torch.enable_grad():
+            designs = {name: x.detach().clone().requires_grad_() for name, x in whole.designs.items()}
+            shapes = DesignShapes(whole.system, designs, count)
+            outputs = [designs[name] if kind == "design" else shapes.values(name) for kind, name in keys]
+        by_designs = pulled_back(outputs, [by[key] for key in keys], list(designs.values()), rows)
+        return {name: x.movedim((0, 1), (-2, -1)) for name, x in zip(designs, by_designs, strict=True)}
+
+
+def _warn_inaccurate(error: Tensor) -> None:
     """Warn of lanes whose gradients have a large estimated relative error [lanes]."""
     for lane in torch.nonzero(error > INACCURATE)[:, 0].tolist():
         warn(
@@ -51,101 +149,15 @@ def warn_inaccurate(error: Tensor) -> None:
         )
 
 
-@dataclass(eq=False)
-class Adjoint:
-    """The adjoint of one motion.
-
-    dynamics        of the whole system, values only;  dynamics_of_leaves: the same as a function of leaves, or None
-    history         what was integrated, by equal steps over the duration [s]
-    integrator      that made the steps
-    failed          lanes whose cotangents are zero
-    """
-
-    dynamics: Dynamics
-    history: History
-    duration: float
-    integrator: OneStep
-    failed: Sequence[int]
-    dynamics_of_leaves: Dynamics | None = None
-    _solvers: dict[tuple[str, ...], list[AdjointSolver]] = field(default_factory=dict, init=False, repr=False)
-
-    @cached_property
-    def error(self) -> Tensor:
-        """Estimated relative error of the gradients asked for so far [lanes]."""
-        return torch.zeros(self.dynamics.lanes, dtype=torch.float64)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Without the solvers, which hold a graph, or a library of a backend; they are made again where they are needed."""
-        return vars(self) | {"_solvers": {}, "dynamics_of_leaves": None}
-
-    @torch.no_grad()
-    def __call__(
-        self, of_motion: MotionCotangents, names: Sequence[str], of_steps: MotionCotangents = (None,) * 4
-    ) -> dict[str, Tensor]:
-        """Cotangents of the data of these names [component..., rows, lanes].
-
-        of_steps   cotangents of the states at the times of the steps of each lane, as of `History.at_steps`
-        """
-        lanes, rows = self.dynamics.lanes, rows_of([*of_motion, *of_steps])
-        shapes = {name: self.dynamics.data[name].shape[:-2] for name in names}
-        result = {name: torch.zeros(*shape, rows, lanes, dtype=torch.float64) for name, shape in shapes.items()}
-        key = tuple(names)
-        if key not in self._solvers:
-            self._solvers[key] = [backend_of(self.dynamics).adjoint_solver(grid) for grid in self.grids(key)]
-        for solver in self._solvers[key]:
-            part = solver.grid.lanes
-            cotangents, error = solver([solver.grid.of_kept_states(*x) for x in zip(of_motion, of_steps, strict=True)])
-            for name, x in solver.grid.cotangents(cotangents).items():
-                result[name][..., part] = x
-            self.error[part] = self.error[part].maximum(error)
-        warn_inaccurate(self.error)
-        return result
-
-    def grids(self, names: tuple[str, ...] = ()) -> list[Grid]:
-        """Of all lanes that have not failed: of those with the steps asked for, and of each lane with smaller steps."""
-        refined = self.history.refined
-        lanes = [lane for lane in range(self.dynamics.lanes) if lane not in refined and lane not in self.failed]
-        grids = [self._grid(names, lanes, self.history, lanes, 1)] if lanes else []
-        for lane, refinement in refined.items():
-            if lane not in self.failed:
-                grids.append(self._grid(names, [lane], refinement.history, [refinement.lane], refinement.substeps))
-        return grids
-
-    def _grid(
-        self, names: tuple[str, ...], lanes: list[int], history: History, columns: list[int], substeps: int
-    ) -> Grid:
-        """Of lanes of the batch, which are `columns` of a history with `substeps` intervals between two outputs."""
-        dynamics, of_leaves = self.dynamics, self.dynamics_of_leaves
-        leaf_names = () if of_leaves is None else tuple(k for k, x in of_leaves.data.items() if x.requires_grad)
-        if of_leaves is None or len(lanes) < of_leaves.lanes or names != leaf_names:
-            of_leaves = differentiable(dynamics.select_lanes(lanes) if len(lanes) < dynamics.lanes else dynamics, names)
-        leaves = {name: of_leaves.data[name] for name in names}
-        _, condensed, start, _ = prepare(of_leaves)
-        checkpoints, states = history.checkpoints, history.lanes(columns)
-        every = checkpoints.interval if checkpoints else 1
-        steps = every * (len(history.q) - 1)
-        times = torch.linspace(0.0, self.duration, steps + 1, dtype=torch.float64)
-        return Grid(
-            lanes=lanes,
-            history=states,
-            leaves=leaves,
-            dynamics=condensed,
-            start=start,
-            weights=self.integrator.weights(self.duration / steps),
-            times=times,
-            integrator=checkpoints.integrator if checkpoints else self.integrator,
-            corrections=self.integrator.counts(condensed)[1],
-            every=every,
-            starts=_starts(states, steps) if checkpoints else None,
-            substeps=substeps,
-        )
-
-
-def _starts(history: History, steps: int) -> dict[int, State]:
-    """States from which the steps of a history with checkpoints are made again."""
-    result, checkpoints = {}, history.checkpoints
-    assert checkpoints is not None
-    for part, a in zip(segments(steps, checkpoints.interval), checkpoints.accelerations, strict=True):
-        q, v, vd, lam = (x[part.start // checkpoints.interval] for x in history.states)
-        result[part.start] = State(q, v, vd, a, lam)
-    return result
+def _joined(parts: Sequence[tuple[list[int], Tensor]], key: Key, count: int) -> Tensor:
+    """Cotangents of a leaf of all lanes of the batch from those of some: [rows, component..., lanes] of data, else
+    [rows, lanes, ...]."""
+    lanes, first = parts[0]
+    if lanes == list(range(count)):
+        return first
+    shape = list(first.shape)
+    shape[-1 if key[0] == "data" else 1] = count
+    total = first.new_zeros(shape)
+    for lanes, part in parts:
+        add_lanes(total, key[0], lanes, part)
+    return total

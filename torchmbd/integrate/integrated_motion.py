@@ -110,6 +110,6 @@ class IntegratedMotion:
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
         """All multipliers [times, rows, pair, lanes]; of redundant rows those of least norm."""
-        if self.history.run is not None:
+        if self.history.segment is not None:
             return self.history.run.multipliers(history, data)
         return history.least_norm_multipliers(self.dynamics.least_norm, self.duration, data)

@@ -116,7 +116,7 @@ def _refined_lanes(history: History, substeps: int, pairs: Sequence[tuple[int, i
         if source in history.refined:
             deeper = history.refined[source]
             result[lane] = deeper._replace(substeps=deeper.substeps * substeps)
-        elif substeps > 1 or history.checkpoints or history.run is not None:
+        else:
             result[lane] = RefinedLane(history, source, substeps)
     return result
 

@@ -12,9 +12,8 @@ Checked in tests/integrate/test_motion.py, tests/sensitivity/test_adjoint.py, te
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -25,7 +24,6 @@ from torchmbd.integrate.backend import with_backend
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.motion import Tensors
-from torchmbd.integrate.motion_pullback import MotionPullback
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.adjoint import MARKED
@@ -35,7 +33,6 @@ from torchmbd.integrate.prepared import differentiable
 from torchmbd.integrate.retries import LaneResults, integrate_again
 from torchmbd.math.pair import Pair, linear
 from torchmbd.multibody.system import Dynamics
-from torchmbd.results.motion_data import has_failed
 
 
 @dataclass(eq=False, kw_only=True)
@@ -53,10 +50,6 @@ class ReverseIntegration(IntegratedMotion):
     designs: tuple[str, ...]
     differentiated: tuple[str, ...] = ()
     variables: tuple[str, ...] = ()  # none carries tangents along
-    _of_leaves: Dynamics | None = field(default=None, init=False, repr=False)  # the dynamics as a function of leaves
-
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"_of_leaves": None}  # has a graph of torch
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         data = dict(zip(self.names, inputs, strict=False))
@@ -67,12 +60,11 @@ class ReverseIntegration(IntegratedMotion):
         single = is_single(self.segments, self.model.topology)
         work = (*self.integrator.work, "adjoint") if single else ()
         dynamics = with_backend(replace(self.model, data=data), self.backend, work)
-        if self.differentiated and single:
-            self._of_leaves = differentiable(dynamics, self.differentiated)
         lanes = dynamics.lanes  # of torch.vmap; what has no part in it has one
         designs = {name: x.expand(lanes, *x.shape[1:]) for name, x in designs.items()}
         self.problem = self._problem_of(dynamics, designs)
-        self.integrate(self.problem if self._of_leaves is None else replace(self.problem, dynamics=self._of_leaves), 0)
+        of_leaves = differentiable(dynamics, self.differentiated) if self.differentiated and single else dynamics
+        self.integrate(replace(self.problem, dynamics=of_leaves), 0)
         if single:
             self.dynamics = dynamics.share_rank(self.dynamics)  # without the graph of the leaves
             self.dynamics.evaluate_rank()
@@ -95,13 +87,9 @@ class ReverseIntegration(IntegratedMotion):
         differentiated = [name for name, needed in zip(self.names, needs_grad, strict=False) if needed]
         names, by_designs = [name for name in differentiated if name != DURATION], any(needs_grad[len(self.names) :])
         result: dict[str, Tensor] = {}
-        if names and self.problem.is_single:
-            bar = self.outputs.like(outputs)
-            result = self.adjoint(bar.states, names, bar.at_steps[:4] or (None,) * 4)
-        elif names or by_designs:
+        if names or by_designs:
             rows = next(x.shape[-2] for x in outputs if x is not None)
-            pullback = MotionPullback(self.problem, self.results)
-            result = pullback(self.outputs.like(outputs), rows, names, by_designs)
+            result = self.adjoint(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
             # No number is asked of a motion without one.
@@ -118,9 +106,8 @@ class ReverseIntegration(IntegratedMotion):
 
     @cached_property
     def adjoint(self) -> Adjoint:
-        """Of a motion of one segment."""
-        failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
-        return Adjoint(self.dynamics, self.history, self.duration, self.integrator, failed, self._of_leaves)
+        """Kept: initial state and steps are prepared once for all pullbacks."""
+        return Adjoint(self.problem, self.results)
 
     def _problem_of(
         self, dynamics: Dynamics, designs: dict[str, Tensor], along: dict[str, Tensor] | None = None

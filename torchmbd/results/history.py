@@ -23,23 +23,6 @@ from torchmbd.results.state import State
 SEGMENT = 2000  # steps
 
 
-class Checkpoints(NamedTuple):
-    """What is needed to make the steps between the states of a history again.
-
-    interval        steps between two states
-    accelerations   algorithmic ones [n_v, 1, lanes] at the first states of segments
-    integrator      that made the steps
-    """
-
-    interval: int
-    accelerations: list[Tensor]
-    integrator: Any
-
-    def lanes(self, lanes: Sequence[int]) -> Checkpoints:
-        """Of some lanes."""
-        return self._replace(accelerations=[x[..., lanes] for x in self.accelerations])
-
-
 class RefinedLane(NamedTuple):
     """A lane that was integrated by smaller steps.
 
@@ -59,9 +42,8 @@ class History:
     expansion     leads to the whole system; None: it is the whole
     times         [times] [s]; None: equal intervals over the duration
     refined       lanes that were integrated by smaller steps
-    checkpoints   how the steps between the states are made again; None: there are none between
     segment       number of the segment that each state is in, -1: in none [times, 1, lanes]; None: there is one segment
-    run           record of the segments (integrate/phases/run.py); None: there is one segment
+    run           that made them (integrate/phases/run.py); None: states of a run, or of none
     """
 
     q: Tensor
@@ -71,7 +53,6 @@ class History:
     expansion: Expansion | None = None
     times: Tensor | None = None
     refined: dict[int, RefinedLane] = field(default_factory=dict)
-    checkpoints: Checkpoints | None = None
     segment: Tensor | None = None
     run: Any = None
 
@@ -111,13 +92,6 @@ class History:
     def at(self, times: slice) -> History:
         """The states of some of the times, without an expansion."""
         return History(self.q[times], self.v[times], self.vd[times], self.lam[times])
-
-    def lanes(self, lanes: Sequence[int]) -> History:
-        """The states of some lanes, without an expansion; of all where there are as many."""
-        if self.q.shape[-1] == len(lanes):
-            return History(self.q, self.v, self.vd, self.lam, checkpoints=self.checkpoints)
-        q, v, vd, lam = (x[..., lanes] for x in (self.q, self.v, self.vd, self.lam))
-        return History(q, v, vd, lam, checkpoints=self.checkpoints and self.checkpoints.lanes(lanes))
 
     def rows(self, order: int, rows: Sequence[int] | None = None, pair: slice = slice(None)) -> Tensor:
         """Rows of q (order 0), v (1) or a (2) of the whole [times, k, pair, lanes]."""

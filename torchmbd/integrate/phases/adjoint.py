@@ -1,36 +1,38 @@
-"""The adjoint of a simulation through phases: from the last phase back to the first.
+"""The adjoint of a run: from the last segment back to the first.
 
-A phase of a lane is three maps, each the discrete one that was integrated:
+A segment of a lane is three maps, each the discrete one that was integrated:
 
     entry    (t*, state before) -> marks of locks, jump, impact, accelerations -> state after -> first point of the grid
     steps    first point of the grid -> ... -> the point at which the last step begins
     exit     that point -> (t*, state at the end of a last step of another size)
 
+The entry of the first segment is the initial state; the last segment has no exit.
 Entry and exit are graphs of torch of all lanes, each at its own time, made again from what was recorded (`PhaseRecord`);
-steps of other sizes are differentiable by the implicit function theorem (`step_to` of variable_step.py). Regular steps are
-those of adjoint.py, of all lanes with the same points together. Where an event ends a phase, the size h of the last step is
-that at which its function g vanishes:
+steps of other sizes are differentiable by the implicit function theorem (`step_to` of variable_step.py). An `AdjointSolver`
+takes back the regular steps of all lanes with the same points together. Where an event ends a segment, the size h of the last
+step is that at which its function g vanishes:
 
     mu = -(cotangent of h) / g_h        cotangents of x and b: mu g_x', mu g_b'
 
 Cotangents have the rows of the responses first: [rows, ...] of a number [...]. None: zero.
 Cost: about a simulation for the first row and half of one for each further one, whatever the number of design variables.
-Checked in tests/sensitivity/test_phase_adjoint.py.
+Checked in tests/sensitivity/test_adjoint.py, tests/sensitivity/test_phase_adjoint.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.adjoint import warn_inaccurate
-from torchmbd.integrate.adjoint_solver import Grid, MotionCotangents
+from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid, MotionCotangents
 from torchmbd.integrate.backend import backend_of
-from torchmbd.integrate.lanes import expanded, lane_numbers, lanes_of, pick_states
+from torchmbd.integrate.lanes import lane_numbers, lanes_of, pick_lanes, pick_states
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.events import Event
@@ -38,11 +40,14 @@ from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, add_lanes, by
 from torchmbd.integrate.phases.last_steps import without_rate
 from torchmbd.integrate.phases.phase_record import PhaseRecord
 from torchmbd.integrate.phases.run import MultiphaseRun
+from torchmbd.integrate.phases.segment import Segment
 from torchmbd.integrate.phases.switch import data_with_marks
+from torchmbd.integrate.prepared import Prepared
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.variable_step import shortly_after, step_to
-from torchmbd.multibody.equations.equations import ATTACHED
+from torchmbd.multibody.equations.equations import ATTACHED, Data
+from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
 from torchmbd.results.state import State
@@ -52,13 +57,13 @@ MARKED = tuple(ATTACHED)  # data that locks change
 
 @dataclass
 class _Cotangents:
-    """Cotangents so far: of the leaves, and of the times and states of the phase in which the adjoint is.
+    """Cotangents so far: of the leaves, and of the times and states of the segment in which the adjoint is.
 
-    lanes    those that have not failed
+    lanes    that are taken back
     by       of the leaves of these lanes
     exit     of the times of the exits, and of the parts of the states there
     end      of the states at the bases of the last steps
-    start    of the times of the entries, and of the states after the switch
+    start    of the times of the entries, and of the states after the switch; None: of no lane
     arrival  of the states at the first points of the grid
     """
 
@@ -66,78 +71,94 @@ class _Cotangents:
     by: dict[Key, Tensor] = field(default_factory=dict)
     exit: list[Tensor] = field(default_factory=list)
     end: list[Tensor] = field(default_factory=list)
-    start: list[Tensor] = field(default_factory=list)
+    start: list[Tensor] | None = None
     arrival: list[Tensor] = field(default_factory=list)
 
     def add(self, key: Key, lanes: Sequence[int], cotangent: Tensor) -> None:
         """Add cotangents [rows, ...] of some of the lanes, counted among these."""
+        of_all = len(lanes) == len(self.lanes)
         if key not in self.by:
             shape = list(cotangent.shape)
             shape[-1 if key[0] == "data" else 1] = len(self.lanes)
-            self.by[key] = cotangent.new_zeros(shape)
-        add_lanes(self.by[key], key[0], lanes, cotangent)
+            self.by[key] = cotangent.clone() if of_all else cotangent.new_zeros(shape)
+            if of_all:
+                return
+        if of_all:
+            self.by[key] += cotangent
+        else:
+            add_lanes(self.by[key], key[0], lanes, cotangent)
+
+
+class _Start(NamedTuple):
+    """The initial state of lanes as a function of leaves, and the dynamics of the first segment."""
+
+    leaves: LaneLeaves
+    made: Prepared
 
 
 @dataclass(eq=False)
-class PhaseAdjoint:
-    """The adjoint of one multiphase run, of values only.
+class RunAdjoint:
+    """The adjoint of some lanes of a run, of values only. What does not depend on the cotangents is kept from call to call.
 
     names    of data by which gradients are wanted
-    failed   lanes whose cotangents are zero
-    error    estimated relative error of the gradients asked for so far [lanes]
+    lanes    of the run that are taken back
+    error    estimated relative error of the gradients asked for so far, of the lanes of the run [lanes]
     """
 
-    multiphase: MultiphaseRun
+    run: MultiphaseRun
     names: Sequence[str]
-    failed: Sequence[int]
+    lanes: list[int]
 
     def __post_init__(self) -> None:
-        self.h = self.multiphase.duration / self.multiphase.steps
-        self.integrator: OneStep = self.multiphase.integrator
+        self.h = self.run.duration / self.run.steps
+        self.integrator: OneStep = self.run.integrator
         self.weights: Weights = self.integrator.weights(self.h)
-        self.error = torch.zeros(self.multiphase.whole.lanes, dtype=torch.float64)
-        locks = any(segment.locks for segment in self.multiphase.segments)
-        marks = [name for name in MARKED if locks and name in self.multiphase.data_without_marks]
+        self.error = torch.zeros(self.run.whole.lanes, dtype=torch.float64)
+        locks = any(segment.locks for segment in self.run.segments)
+        marks = [name for name in MARKED if locks and name in self.run.data_without_marks]
         self._leaf_names = [*self.names, *(name for name in marks if name not in self.names)]
+        #: By the number of the segment and the lanes; of those whose states are the run's own, which take no memory.
+        self.solvers: dict[tuple[int, tuple[int, ...]], AdjointSolver] = {}
 
     @torch.no_grad()
-    def __call__(self, bar: Outputs, rows: int) -> tuple[list[int], dict[Key, Tensor]]:
-        """Lanes, and their cotangents by data [rows, component..., 1, lanes], designs and mode shapes [rows, lanes, ...].
+    def __call__(self, bar: Outputs, rows: int) -> dict[Key, Tensor]:
+        """Cotangents of the lanes by data [rows, component..., 1, lanes], designs and mode shapes [rows, lanes, ...].
 
         bar   cotangents of states at all steps, of data with all marks, and of switches (None: zero)
         """
-        so_far = _Cotangents([lane for lane in range(len(self.error)) if lane not in self.failed])
-        if not so_far.lanes:
-            return [], {}
+        so_far = _Cotangents(self.lanes)
         for name, x in bar.data.items():
             if x is not None:
                 so_far.by["data", name] = rows_first(x, so_far.lanes).clone()
-        for record in reversed(self.multiphase.records):
+        for record in reversed(self.run.records):
             self._exit(record, so_far, rows)
             self._steps(record, so_far, bar.states, rows)
-            self._entry(record, so_far, bar, rows)
-        warn_inaccurate(self.error)
-        return so_far.lanes, so_far.by
+            if record.number:
+                self._entry(record, so_far, bar, rows)
+            else:
+                self._initial(so_far, rows)
+        return so_far.by
 
     def _exit(self, record: PhaseRecord, so_far: _Cotangents, rows: int) -> None:
         """From where lanes left a phase to the bases of their last steps."""
-        entry, start = record.entry.t[:, so_far.lanes], pick_states(record.start, so_far.lanes)
         base, c = pick_states(record.base, so_far.lanes), record.condensation
-        so_far.start, so_far.end = zeros(rows, [entry, *start]), zeros(rows, base)
-        indices = [i for i, lane in enumerate(so_far.lanes) if record.has_exit[lane]]  # counted among those of so_far
+        so_far.start, so_far.end = None, zeros(rows, base)
+        indices = lane_numbers(record.has_exit[so_far.lanes])  # counted among those of so_far
         if not indices:
             return
+        entry, start = record.entry.t[:, so_far.lanes], pick_states(record.start, so_far.lanes)
+        so_far.start = zeros(rows, [entry, *start])
         lanes = [so_far.lanes[i] for i in indices]
-        segment = self.multiphase.segments[record.number]
+        segment = self.run.segments[record.number]
         k, there = record.base_point[lanes], record.exit.lanes(lanes)
         with torch.enable_grad():
-            leaves = LaneLeaves(self.multiphase.views, lanes, lanes_of(record.dynamics, lanes), self._leaf_names)
-            dynamics = _condensed(record, leaves.dynamics)
+            leaves = LaneLeaves(self.run.views, lanes, lanes_of(record.dynamics, lanes), self._leaf_names)
+            dynamics = record.condensed_of(leaves.dynamics)
             t, base = leaf(entry[:, indices]), pick_states(base, indices).map(leaf)
-            begin = torch.where(k < 0, t, self.multiphase.times[k.clamp_min(0)])
+            begin = torch.where(k < 0, t, self.run.times[k.clamp_min(0)])
             size = leaf(there.t - begin)
             event = segment.phase.until if isinstance(segment.phase.until, Event) else None
-            end = begin + size if event is not None else self.multiphase.end_times(segment, t, leaves.dynamics.data)
+            end = begin + size if event is not None else self.run.end_times(segment, t, leaves.dynamics.data)
             of_size = size if event is not None else end - begin
             y = step_to(dynamics, self.integrator.weights, base, of_size, end, record.retained(there.x))
             y = record.whole(y, end)
@@ -165,15 +186,16 @@ class PhaseAdjoint:
     def _steps(self, record: PhaseRecord, so_far: _Cotangents, cotangents: MotionCotangents, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
         so_far.arrival = [torch.zeros_like(x) for x in so_far.end]
-        groups: dict[tuple[int, int, int], list[int]] = {}  # lanes counted among those of so_far
-        for i, lane in enumerate(so_far.lanes):
-            first, base = int(record.first[lane]), int(record.base_point[lane])
-            in_phase = torch.nonzero(self.multiphase.phase_number[:, lane] == record.number)[:, 0]
-            last = max([first - 1, base, *in_phase[-1:].tolist()])
-            if last >= first:
-                groups.setdefault((first, base, last), []).append(i)
-        for (first, base, last), group in groups.items():
-            self._steps_of_group(record, range(first, last + 1), base - first, group, so_far, cotangents, rows)
+        lanes, numbers = so_far.lanes, self.run.phase_number
+        first, base = record.first[lanes], record.base_point[lanes]
+        points = torch.arange(len(numbers))[:, None]
+        last = torch.where(numbers[:, lanes] == record.number, points, -1).amax(0).maximum(first - 1).maximum(base)
+        groups: dict[tuple[int, ...], list[int]] = {}  # lanes counted among those of so_far
+        for i, of_lane in enumerate(torch.stack([first, base, last], 1).tolist()):
+            if of_lane[2] >= of_lane[0]:
+                groups.setdefault(tuple(of_lane), []).append(i)
+        for (begin, base_point, end), group in groups.items():
+            self._steps_of_group(record, range(begin, end + 1), base_point - begin, group, so_far, cotangents, rows)
 
     def _steps_of_group(
         self,
@@ -186,39 +208,32 @@ class PhaseAdjoint:
         rows: int,
     ) -> None:
         """As `_steps`, for lanes with the same points of the grid, and the same number `base` of steps to their base."""
-        multiphase, lanes = self.multiphase, [so_far.lanes[i] for i in group]
-        every, c = multiphase.every, record.condensation
-        phase_rows = multiphase.segments[record.number].rows
-        rows_of_steps = phase_rows if c is None else [phase_rows[k] for k in c.rows.tolist()]
-        at = slice(-(-points.start // every), points[-1] // every + 1)
-        h = multiphase.history
-        q, v, vd, lam = (x[at, :, :, lanes] for x in (h.q, h.v, h.vd, h.lam[:, rows_of_steps]))
-        if c is not None:
-            q, v, vd = q[:, c.coordinates], v[:, c.independent], vd[:, c.independent]
-        history = History(q, v, vd, lam)
-        kept = slice(at.start * every, points.stop, every)
-        in_phase = (multiphase.phase_number[kept, lanes] == record.number)[:, None, None]
-        of_states = []
-        for i, (x, n) in enumerate(zip(cotangents, history.states, strict=True)):
-            if x is None:
-                of_states.append(torch.zeros(len(n), n.shape[1], rows, len(lanes), dtype=torch.float64))
-                continue
-            of_points = torch.where(in_phase, (x[:, rows_of_steps] if i == 3 else x)[at, :, :, lanes], 0.0)
-            of_states.append(of_points if c is None or i == 3 else c.of_whole(i, of_points))
+        run, lanes, c = self.run, [so_far.lanes[i] for i in group], self._left_out(record)
+        at = slice(-(-points.start // run.every), points[-1] // run.every + 1)
+        rows_of_steps = self._rows_of_steps(record)
+        in_phase = run.phase_number[at.start * run.every : points.stop : run.every]
+        in_phase = pick_lanes(in_phase, lanes) == record.number
+        every_point = bool(in_phase.all())
+        of_states: list[Tensor | None] = [None] * len(cotangents)
+        for i, x in enumerate(cotangents):
+            if x is not None:
+                x = pick_lanes((x if rows_of_steps is None or i < 3 else x[:, rows_of_steps])[at], lanes)
+                x = x if every_point else torch.where(in_phase[:, None, None], x, 0.0)
+                of_states[i] = x if c is None or i == 3 else c.of_whole(i, x)
         end = State(*(x[..., 0, group].movedim(0, -2) for x in so_far.end))
-        start = pick_states(record.arrival, lanes).map(leaf)
         if len(points) == 1:
             by_start, by_data = end if base == 0 else end.map(torch.zeros_like), {}
-            if len(of_states[0]):
-                by_q, by_v, by_vd, by_lam = (x[0] for x in of_states)
+            if at.stop > at.start:
+                by_q, by_v, by_vd, by_lam = (0.0 if x is None else x[0] for x in of_states)
                 q, v, vd, a, lam = by_start
                 by_start = State(q + by_q, v + by_v, vd + by_vd, a, lam + by_lam)
         else:
-            grid = self._grid(record, points, base, lanes, history, start)
-            more = {base: end} if base > 0 else {}
-            of_steps, error = backend_of(grid.dynamics).adjoint_solver(grid)(of_states, more)
+            if all(x is None for x in of_states):  # the rows of the others tell their number
+                of_states[0] = end.q.new_zeros(at.stop - at.start, *end.q.shape)
+            solver = self._solver(record, points, base, group)
+            of_steps, error = solver(of_states, {base: end} if base > 0 else {})
             self.error[lanes] = self.error[lanes].maximum(error)
-            by_leaf = grid.cotangents(of_steps)
+            by_leaf = solver.grid.cotangents(of_steps)
             by_start = State(*(by_leaf.pop(f"state {name}") for name in State._fields))
             if base == 0:
                 by_start = State(*(x + y for x, y in zip(by_start, end, strict=True)))
@@ -228,18 +243,40 @@ class PhaseAdjoint:
         for key, x in by_data.items():
             so_far.add(key, group, x.movedim(-2, 0).unsqueeze(-2))
 
-    def _grid(
-        self, record: PhaseRecord, points: range, base: int, lanes: list[int], history: History, start: State
-    ) -> Grid:
-        """The regular steps of some lanes; leaves are the data and the state at the first point."""
-        dynamics = record.dynamics.select_lanes(lanes)
-        names = {name: dynamics.data[name] for name in self._leaf_names}
-        leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
-        dynamics = dynamics.with_data({**dynamics.data, **leaves})
-        with torch.enable_grad():
-            dynamics = _condensed(record, dynamics)
+    def _left_out(self, record: PhaseRecord) -> Condensation | None:
+        """What the states of the run have besides those of the steps of a segment; None: they are the same."""
+        return None if record.condensed is self.run.recorded else record.condensation
+
+    def _rows_of_steps(self, record: PhaseRecord) -> list[int] | None:
+        """Rows of the multipliers of the run that are those of the steps; None: all."""
+        if record.condensed is self.run.recorded:
+            return None
+        rows, c = self.run.segments[record.number].rows, record.condensation
+        return rows if c is None else [rows[k] for k in c.rows.tolist()]
+
+    def _solver(self, record: PhaseRecord, points: range, base: int, group: list[int]) -> AdjointSolver:
+        """Of the regular steps of lanes, counted among those that are taken back."""
+        key = record.number, tuple(group)
+        if key in self.solvers:
+            return self.solvers[key]
+        grid = self._grid(record, points, base, group)
+        solver = backend_of(grid.dynamics).adjoint_solver(grid)
+        if grid.history.q.untyped_storage().data_ptr() == self.run.q.untyped_storage().data_ptr():
+            self.solvers[key] = solver
+        return solver
+
+    def _grid(self, record: PhaseRecord, points: range, base: int, group: list[int]) -> Grid:
+        """The regular steps of lanes as of `_solver`; leaves are the data and the state at the first point."""
+        run, lanes = self.run, [self.lanes[i] for i in group]
+        every, c, rows = run.every, self._left_out(record), self._rows_of_steps(record)
+        at = slice(-(-points.start // every), points[-1] // every + 1)
+        q, v, vd, lam = (pick_lanes(x[at], lanes) for x in (run.q, run.v, run.vd, run.lam))
+        if c is not None:
+            q, v, vd = q[:, c.coordinates], v[:, c.independent], vd[:, c.independent]
+        history = History(q, v, vd, lam if rows is None else lam[:, rows])
+        start = pick_states(record.arrival, lanes).map(leaf)
+        leaves, dynamics = self._leaves_of_steps(record, group, lanes)
         state = {f"state {name}": x for name, x in zip(State._fields, start, strict=True)}
-        times, every = self.multiphase.times[points.start : points.stop], self.multiphase.every
         offset, cuts, starts = -points.start % every, [base] if 0 < base < len(points) - 1 else [], None
         if every > 1:
             starts = {0: start.map(Tensor.detach)}
@@ -254,7 +291,7 @@ class PhaseAdjoint:
             dynamics=dynamics,
             start=start,
             weights=self.weights,
-            times=times,
+            times=run.times[points.start : points.stop],
             integrator=self.integrator,
             corrections=self.integrator.counts(dynamics)[1],
             every=every,
@@ -265,36 +302,66 @@ class PhaseAdjoint:
             cuts=cuts,
         )
 
-    def _entry(self, record: PhaseRecord, so_far: _Cotangents, bar: Outputs, rows: int) -> None:
-        """From the first points of the grid, and the states after the switch, to the states before it."""
-        multiphase, number, lanes = self.multiphase, record.number, so_far.lanes
-        data = multiphase.records[number - 1].dynamics.data if number else multiphase.data_without_marks
-        whole = replace(multiphase.whole, data=data).select_lanes(lanes)
-        segment, every = multiphase.segments[number], range(len(lanes))
+    def _leaves_of_steps(
+        self, record: PhaseRecord, group: list[int], lanes: list[int]
+    ) -> tuple[dict[str, Tensor], Dynamics]:
+        """Data of some lanes as leaves, and the dynamics of the steps of a segment as a function of these."""
+        if not record.number and len(group) == len(self.lanes) and not self.run.segments[0].locks:
+            leaves = self._start.leaves.leaves.items()
+            return {name: x for (kind, name), x in leaves if kind == "data"}, self._start.made.condensed
+        dynamics = record.dynamics.select_lanes(lanes)
+        names = {name: dynamics.data[name] for name in self._leaf_names}
+        leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
         with torch.enable_grad():
-            leaves = LaneLeaves(multiphase.views, lanes, whole, self._leaf_names)
-            before = record.entry.lanes(lanes)
-            if number:
-                t, x = leaf(before.t), before.x.map(leaf)
-            else:
-                q, v = (expanded(y, len(lanes)) for y in multiphase.initial_coordinates(leaves.dynamics))
-                t, x = before.t, before.x._replace(q=q, v=v)
-            data = data_with_marks(whole.topology, leaves.dynamics.data, x.q, segment.locks)
-            dynamics = lanes_of(record.dynamics, lanes).with_data(data)
-            after = multiphase.after(number, leaves.views, every, dynamics, t, x)
-            outputs, of_outputs = self._entered(record, so_far, dynamics, t, after, bar.states)
-            if number:
-                by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in bar.switches[number - 1]]
-                outputs.append(t)
-                of_outputs += [None if by_t is None else by_t.reshape(rows, *t.shape), *by_sides]
-                for side, y, by_lam in ((number - 1, x, by_sides[3]), (number, after, by_sides[7])):
-                    lam = y.lam if by_lam is None else multiphase.all_multipliers(side, data, t, y)
-                    outputs += [y.q, y.v, y.vd, lam]
+            return leaves, record.condensed_of(dynamics.with_data({**dynamics.data, **leaves}))
+
+    @cached_property
+    def _start(self) -> _Start:
+        """The initial state of all lanes that are taken back."""
+        return _Start(*self.run.start_of_leaves(self.lanes, self._leaf_names))
+
+    def _initial(self, so_far: _Cotangents, rows: int) -> None:
+        """From the initial states, and those at the first point of the grid, to the leaves."""
+        (leaves, made), segment = self._start, self.run.segments[0]
+        outputs, of_outputs = [*made.start], [*so_far.arrival]
+        if so_far.start is not None:
+            outputs += made.state
+            of_outputs += so_far.start[1:]
+        self._add_marks(made.whole.data, segment, so_far, outputs, of_outputs)
+        by_inputs = pulled_back(outputs, of_outputs, list(leaves.leaves.values()), rows, at_once=True)
+        for key, cotangent in zip(leaves.leaves, by_inputs, strict=True):
+            so_far.add(key, range(len(so_far.lanes)), cotangent)
+
+    def _add_marks(
+        self, data: Data, segment: Segment, so_far: _Cotangents, outputs: list[Any], of_outputs: list[Any]
+    ) -> None:
+        """Add data that the locks of a segment change to outputs of its entry, and their cotangents."""
         for name in MARKED if segment.locks else ():
             if name in data:
                 outputs.append(data[name])
                 of_outputs.append(so_far.by.pop(("data", name), None))
-        inputs = [t, *x] if number else []
+
+    def _entry(self, record: PhaseRecord, so_far: _Cotangents, bar: Outputs, rows: int) -> None:
+        """From the first points of the grid, and the states after the switch, to the states before it."""
+        run, number, lanes = self.run, record.number, so_far.lanes
+        whole = replace(run.whole, data=run.records[number - 1].dynamics.data).select_lanes(lanes)
+        segment, every = run.segments[number], range(len(lanes))
+        with torch.enable_grad():
+            leaves = LaneLeaves(run.views, lanes, whole, self._leaf_names)
+            before = record.entry.lanes(lanes)
+            t, x = leaf(before.t), before.x.map(leaf)
+            data = data_with_marks(whole.topology, leaves.dynamics.data, x.q, segment.locks)
+            dynamics = lanes_of(record.dynamics, lanes).with_data(data)
+            after = run.after(number, leaves.views, every, dynamics, t, x)
+            outputs, of_outputs = self._entered(record, so_far, dynamics, t, after, bar.states)
+            by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in bar.switches[number - 1]]
+            outputs.append(t)
+            of_outputs += [None if by_t is None else by_t.reshape(rows, *t.shape), *by_sides]
+            for side, y, by_lam in ((number - 1, x, by_sides[3]), (number, after, by_sides[7])):
+                lam = y.lam if by_lam is None else run.all_multipliers(side, data, t, y)
+                outputs += [y.q, y.v, y.vd, lam]
+        self._add_marks(data, segment, so_far, outputs, of_outputs)
+        inputs = [t, *x]
         by_inputs = pulled_back(outputs, of_outputs, [*inputs, *leaves.leaves.values()], rows)
         so_far.exit = by_inputs[: len(inputs)]
         for key, cotangent in zip(leaves.leaves, by_inputs[len(inputs) :], strict=True):
@@ -310,34 +377,29 @@ class PhaseAdjoint:
         motion: MotionCotangents,
     ) -> tuple[list[Tensor], list[Tensor | None]]:
         """What follows from a switch, with its cotangents: time, state after it, arrivals, points of the grid between."""
-        multiphase, lanes, segment = self.multiphase, so_far.lanes, self.multiphase.segments[record.number]
-        outputs: list[Tensor] = [t, *after]
-        of_outputs: list[Tensor | None] = [*so_far.start]
+        run, lanes, segment = self.run, so_far.lanes, self.run.segments[record.number]
+        outputs: list[Tensor] = [] if so_far.start is None else [t, *after]
+        of_outputs: list[Tensor | None] = [*(so_far.start or [])]
         first, on_grid = record.first[lanes], record.on_grid[lanes]
         direct = lane_numbers(on_grid)
         if direct:
             outputs += record.retained(pick_states(after, direct))
             of_outputs += [x[..., direct] for x in so_far.arrival]
-        indices = lane_numbers(~on_grid & (first < len(multiphase.times)))
+        indices = lane_numbers(~on_grid & (first < len(run.times)))
         if indices:
-            end, begin = multiphase.times[first[indices]][None], t[:, indices]
+            end, begin = run.times[first[indices]][None], t[:, indices]
             arrival = pick_states(record.arrival, [lanes[i] for i in indices])
-            some = _condensed(record, lanes_of(dynamics, indices))
+            some = record.condensed_of(lanes_of(dynamics, indices))
             x = record.retained(pick_states(after, indices))
             outputs += step_to(some, self.integrator.weights, x, end - begin, end, arrival)
             of_outputs += [x[..., indices] for x in so_far.arrival]
-        between = multiphase.phase_number[:: multiphase.every, lanes] == record.number
-        between &= multiphase.every * torch.arange(len(between))[:, None] < first
+        between = run.phase_number[:: run.every, lanes] == record.number
+        between &= run.every * torch.arange(len(between))[:, None] < first
         for k in lane_numbers(between.any(1)):
-            y = shortly_after(dynamics.topology, after, float(multiphase.kept_times[k]) - t)
+            y = shortly_after(dynamics.topology, after, float(run.kept_times[k]) - t)
             for i, (part, cotangent) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
                 if cotangent is not None:
                     outputs.append(part)
                     x = rows_first((cotangent[:, segment.rows] if i == 3 else cotangent)[k], lanes)
                     of_outputs.append(torch.where(between[k], x, 0.0))
         return outputs, of_outputs
-
-
-def _condensed(record: PhaseRecord, dynamics: Dynamics) -> Dynamics:
-    """The dynamics of the steps of a phase, of some lanes of it with other data."""
-    return dynamics if record.condensation is None else dynamics.condensed().share_rank(record.condensed)

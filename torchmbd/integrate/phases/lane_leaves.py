@@ -24,13 +24,13 @@ Key = tuple[str, str]  # kind of a leaf, "data", "design" or "shape", and its na
 class LaneLeaves:
     """Data, designs and mode shapes of some lanes as leaves of a graph; shapes on demand.
 
-    dynamics   of these lanes;  names: of the data that are leaves
+    dynamics   of these lanes;  names: of the data that are leaves. Data that are leaves already stay.
     """
 
     def __init__(self, views: Views, lanes: Sequence[int], dynamics: Dynamics, names: Sequence[str]):
         self.leaves: dict[Key, Tensor] = {}
         data = {
-            name: self._leaf("data", name, expanded(x, len(lanes))) if name in names else x
+            name: self._leaf("data", name, x if x.requires_grad else expanded(x, len(lanes))) if name in names else x
             for name, x in dynamics.data.items()
         }
         self.dynamics = dynamics.with_data(data)
@@ -41,18 +41,26 @@ class LaneLeaves:
         )
 
     def _leaf(self, kind: str, name: str, x: Tensor) -> Tensor:
-        return self.leaves.setdefault((kind, name), leaf(x))
+        return self.leaves.setdefault((kind, name), x if x.requires_grad else leaf(x))
 
 
 def pulled_back(
-    outputs: Sequence[Tensor], cotangents: Sequence[Tensor | None], inputs: Sequence[Tensor], rows: int
+    outputs: Sequence[Tensor],
+    cotangents: Sequence[Tensor | None],
+    inputs: Sequence[Tensor],
+    rows: int,
+    at_once: bool = False,
 ) -> list[Tensor]:
-    """Cotangents [rows, ...] of the inputs from those of the outputs."""
+    """Cotangents [rows, ...] of the inputs from those of the outputs.
+
+    at_once   all rows by torch.vmap, for which steps are not
+    """
     used = [(y, x) for y, x in zip(outputs, cotangents, strict=True) if x is not None and y.requires_grad]
     if not used or not inputs:
         return zeros(rows, inputs)
     of = [y for y, _ in used]
-    # Steps are not for vmap.
+    if at_once:
+        return list(pull_back(of, inputs, [x for _, x in used]))
     by_row = [pull_back(of, inputs, [x[row : row + 1] for _, x in used]) for row in range(rows)]
     return [torch.cat(x) for x in zip(*by_row, strict=True)]
 

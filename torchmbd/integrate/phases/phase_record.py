@@ -73,6 +73,10 @@ class PhaseRecord:
         """Of the regular steps; None: they are those of the whole system."""
         return None if self.condensed is self.dynamics else self.condensed.initial.condensation
 
+    def condensed_of(self, dynamics: Dynamics) -> Dynamics:
+        """The dynamics of the regular steps, of some lanes with other data."""
+        return dynamics if self.condensation is None else dynamics.condensed().share_rank(self.condensed)
+
     def retained(self, x: State) -> State:
         """The state of the condensed system, out of that of the whole one."""
         return x if self.condensation is None else self.condensation.retained_state(x)

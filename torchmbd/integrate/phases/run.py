@@ -16,8 +16,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.contacts import ContactWatch
-from torchmbd.integrate.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
+from torchmbd.integrate.lanes import expanded, lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.events import Event, Views
+from torchmbd.integrate.phases.lane_leaves import LaneLeaves
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.segment import DURATION, Segment, is_single
 from torchmbd.integrate.phases.switch import (
@@ -37,7 +38,7 @@ from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.saddle.least_norm import LeastNorm
 from torchmbd.multibody.start.start import EquilibriumConditions
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.results.history import Checkpoints, History, Record
+from torchmbd.results.history import History, Record
 from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.state import State
 
@@ -68,8 +69,10 @@ class MultiphaseRun:
     def __post_init__(self) -> None:
         lanes = self.whole.lanes
         self.single: Prepared | None = None
+        self.start_as_made: Prepared | None = None  # a function of leaves where the data are leaves
         if is_single(self.segments, self.whole.topology):
-            self.single = (prepare if self.integrator.condenses else prepare_whole)(self.whole).detached()
+            self.start_as_made = self._prepared(self.whole)
+            self.single = self.start_as_made.detached()
             self.whole = self.single.whole
         self.recorded = self.whole if self.single is None else self.single.condensed
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
@@ -92,6 +95,13 @@ class MultiphaseRun:
         self.phase_number = torch.full((self.steps + 1, lanes), -1)
         self.watch = ContactWatch(self.whole, self.steps)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"start_as_made": None}  # may have a graph of torch
+
+    def _prepared(self, whole: Dynamics) -> Prepared:
+        """Of a single segment."""
+        return (prepare if self.integrator.condenses else prepare_whole)(whole)
+
     @property
     def duration_moves(self) -> bool:
         """Whether tangents are those by the duration as well: points of the grid move with it."""
@@ -110,13 +120,7 @@ class MultiphaseRun:
         if self.single is None:
             segment = self.phase_number[:: self.every, None].double()
             return replace(self.states.history(), segment=segment, run=self)
-        return replace(self.states.history(self._expansion(self.kept_times)), checkpoints=self._checkpoints)
-
-    @property
-    def _checkpoints(self) -> Checkpoints | None:
-        """Of a single segment."""
-        accelerations = [a for record in self.records for a in record.checkpoints.values()]
-        return Checkpoints(self.every, accelerations, self.integrator) if self.every > 1 else None
+        return replace(self.states.history(self._expansion(self.kept_times)), run=self)
 
     def _expansion(self, times: Tensor) -> Expansion | None:
         """Leads from states that are recorded at these times to those of the whole; None: they are its own."""
@@ -155,6 +159,27 @@ class MultiphaseRun:
         q, v = (self._wide(x) for x in self.initial_coordinates(self.whole))
         self.initial_state = InitialState(value(q)[..., :1], value(v)[..., :1])
         return PhaseExit(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
+
+    def start_of_leaves(self, lanes: Sequence[int], names: Sequence[str]) -> tuple[LaneLeaves, Prepared]:
+        """Data of these names as leaves, and the initial state of some lanes and the dynamics of the first segment as
+        functions of these: as the motion had them where it was made of leaves."""
+        record, made = self.records[0], self.start_as_made
+        if made is not None and _are_leaves(made.whole, lanes, names):
+            made.condensed.share_rank(record.condensed)
+            return LaneLeaves(self.views, lanes, made.whole, names), made
+        whole = lanes_of(replace(self.whole, data=self.data_without_marks), lanes)
+        with torch.enable_grad():
+            leaves = LaneLeaves(self.views, lanes, whole, names)
+            if self.single is not None:
+                made = self._prepared(leaves.dynamics)
+                made.condensed.share_rank(record.condensed)
+                return leaves, made
+            q, v = (expanded(y, len(lanes)) for y in self.initial_coordinates(leaves.dynamics))
+            data = data_with_marks(whole.topology, leaves.dynamics.data, q, self.segments[0].locks)
+            dynamics = lanes_of(record.dynamics, lanes).with_data(data)
+            before = PhaseExit(record.entry.lanes(lanes).t, State(q, v, v * 0.0, v * 0.0, v[:0]))
+            x = self.after(0, leaves.views, range(len(lanes)), dynamics, *before)
+            return leaves, Prepared(dynamics, record.condensed_of(dynamics), record.retained(x), x)
 
     def initial_coordinates(self, whole: Dynamics) -> tuple[Any, Any]:
         """Initial q and v, joints closed, as functions of the data of `whole`."""
@@ -352,6 +377,12 @@ class MultiphaseRun:
                     reason = f"its event does not occur before the simulation ends at t = {self.duration:g} s"
                 self.failed_for_good.add(lane)
                 self.fail(lane, f"phase {segment.name!r} never ends: {reason}")
+
+
+def _are_leaves(whole: Dynamics, lanes: Sequence[int], names: Sequence[str]) -> bool:
+    """Whether data of these names are leaves, and these are all lanes in their order."""
+    data = whole.data
+    return list(lanes) == list(range(whole.lanes)) and all(value(data[name]).requires_grad for name in names)
 
 
 def _least_norm(whole: Dynamics, segment: Segment, dynamics: Dynamics) -> LeastNorm | None:
