@@ -18,8 +18,8 @@ has one. Lanes that were integrated again are those of another run, by other ste
 impacts read, go back through the structure stage.
 `Adjoint` is kept by the integration (reverse_integration.py); the steps are those of an `AdjointSolver` (adjoint_solver.py), or
 of another backend. Methods of torchdiffeq have none.
-Checked in tests/sensitivity/test_adjoint.py, tests/sensitivity/test_phase_adjoint.py, tests/contracts/test_adjoint.py (all joints
-and forces), tests/integrate/phases/test_retries.py.
+Checked in tests/sensitivity/test_adjoint.py, tests/sensitivity/test_phase_adjoint.py, tests/integrate/phases/test_retries.py,
+tests/contracts/test_adjoint.py (all joints and forces).
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
 """
 
@@ -39,6 +39,7 @@ from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.outputs import STATES, Outputs
 from torchmbd.integrate.phases.adjoint import RunAdjoint
 from torchmbd.integrate.phases.lane_leaves import Key, add_lanes, pulled_back
+from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.retries import LaneResults
 from torchmbd.results.mode_shapes import DesignShapes
 from torchmbd.results.motion_data import has_failed
@@ -60,8 +61,10 @@ class LanesOfRun(NamedTuple):
 
     def of_run(self, x: Tensor | None) -> Tensor | None:
         """Cotangents [..., lanes] of the lanes of the run, zero where a lane of the batch is not one of it."""
-        sources, count = self.adjoint.lanes, self.adjoint.run.whole.lanes
-        if x is None or self.lanes == sources == list(range(count)) == list(range(x.shape[-1])):
+        if x is None:
+            return None
+        sources, count = self.adjoint.lanes, len(self.adjoint.error)
+        if self.lanes == sources == list(range(count)) == list(range(x.shape[-1])):
             return x
         result = x.new_zeros(*x.shape[:-1], count)
         result[..., sources] = x[..., self.lanes] if x.shape[-1] > 1 else x
@@ -69,7 +72,10 @@ class LanesOfRun(NamedTuple):
 
     def of_outputs(self, bar: Outputs) -> Outputs:
         """Cotangents of the states at the steps of the run, its data and its switches, from those of the batch."""
-        pairs, count = zip(bar.states, list(bar.at_steps[:STATES]) or [None] * STATES, strict=True), len(self.adjoint.run.q)
+        pairs, count = (
+            zip(bar.states, list(bar.at_steps[:STATES]) or [None] * STATES, strict=True),
+            len(self.adjoint.run.q),
+        )
         states = [(self.of_run(at_times), self.of_run(at_steps)) for at_times, at_steps in pairs]
         return bar._replace(
             states=[of_kept_states(*x, count, self.substeps) for x in states],
@@ -116,16 +122,13 @@ class Adjoint:
     def runs(self, names: tuple[str, ...]) -> list[LanesOfRun]:
         """Lanes that have not failed, by their runs; gradients are wanted by data of these names."""
         if names not in self._runs:
-            history, runs = self.results.history, {}
+            history, groups = self.results.history, {}
             for lane, status in enumerate(self.results.status):
-                if has_failed(status):
-                    continue
-                refined = history.refined.get(lane)
-                run, source, substeps = (history.run, lane, 1) if refined is None else (refined.history.run, *refined[1:])
-                of_run = runs.setdefault(id(run), LanesOfRun(RunAdjoint(run, names, []), [], substeps))
-                of_run.lanes.append(lane)
-                of_run.adjoint.lanes.append(source)
-            self._runs[names] = list(runs.values())
+                if not has_failed(status):
+                    refined = history.refined.get(lane)
+                    source = (history.run, lane, 1) if refined is None else (refined.history.run, *refined[1:])
+                    groups.setdefault(id(source[0]), []).append((lane, source))
+            self._runs[names] = [_lanes_of_run(names, group) for group in groups.values()]
         return self._runs[names]
 
     def _of_designs(self, by: dict[Key, Tensor], rows: int) -> dict[str, Tensor]:
@@ -147,6 +150,13 @@ def _warn_inaccurate(error: Tensor) -> None:
             f"lane {lane}: the adjoint leaves an error of {float(error[lane]):.1e} of its gradients; more steps help, "
             "or gradients='forward'",
         )
+
+
+def _lanes_of_run(names: Sequence[str], group: Sequence[tuple[int, tuple[MultiphaseRun, int, int]]]) -> LanesOfRun:
+    """Of lanes of the batch, each with the run that integrated it, its number there and the steps for each of the batch."""
+    lanes, sources = zip(*group, strict=True)
+    run, _, substeps = sources[0]
+    return LanesOfRun(RunAdjoint(run, names, [lane for _, lane, _ in sources]), list(lanes), substeps)
 
 
 def _joined(parts: Sequence[tuple[list[int], Tensor]], key: Key, count: int) -> Tensor:

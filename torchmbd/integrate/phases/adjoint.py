@@ -53,6 +53,7 @@ from torchmbd.results.history import History
 from torchmbd.results.state import State
 
 MARKED = tuple(ATTACHED)  # data that locks change
+_STATE = tuple(f"state {name}" for name in State._fields)  # names of leaves
 
 
 @dataclass
@@ -62,17 +63,17 @@ class _Cotangents:
     lanes    that are taken back
     by       of the leaves of these lanes
     exit     of the times of the exits, and of the parts of the states there
-    end      of the states at the bases of the last steps
-    start    of the times of the entries, and of the states after the switch; None: of no lane
-    arrival  of the states at the first points of the grid
+    end      of the states at the bases of the last steps; None: no lane leaves the segment
+    start    of the times of the entries, and of the states after the switch; None: as for `end`
+    arrival  of the states at the first points of the grid; None: of no lane
     """
 
     lanes: list[int]
     by: dict[Key, Tensor] = field(default_factory=dict)
     exit: list[Tensor] = field(default_factory=list)
-    end: list[Tensor] = field(default_factory=list)
+    end: list[Tensor] | None = None
     start: list[Tensor] | None = None
-    arrival: list[Tensor] = field(default_factory=list)
+    arrival: list[Tensor] | None = None
 
     def add(self, key: Key, lanes: Sequence[int], cotangent: Tensor) -> None:
         """Add cotangents [rows, ...] of some of the lanes, counted among these."""
@@ -141,13 +142,13 @@ class RunAdjoint:
 
     def _exit(self, record: PhaseRecord, so_far: _Cotangents, rows: int) -> None:
         """From where lanes left a phase to the bases of their last steps."""
-        base, c = pick_states(record.base, so_far.lanes), record.condensation
-        so_far.start, so_far.end = None, zeros(rows, base)
+        so_far.start = so_far.end = None
         indices = lane_numbers(record.has_exit[so_far.lanes])  # counted among those of so_far
         if not indices:
             return
         entry, start = record.entry.t[:, so_far.lanes], pick_states(record.start, so_far.lanes)
-        so_far.start = zeros(rows, [entry, *start])
+        base, c = pick_states(record.base, so_far.lanes), record.condensation
+        so_far.start, so_far.end = zeros(rows, [entry, *start]), zeros(rows, base)
         lanes = [so_far.lanes[i] for i in indices]
         segment = self.run.segments[record.number]
         k, there = record.base_point[lanes], record.exit.lanes(lanes)
@@ -185,7 +186,7 @@ class RunAdjoint:
 
     def _steps(self, record: PhaseRecord, so_far: _Cotangents, cotangents: MotionCotangents, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
-        so_far.arrival = [torch.zeros_like(x) for x in so_far.end]
+        so_far.arrival = None
         lanes, numbers = so_far.lanes, self.run.phase_number
         first, base = record.first[lanes], record.base_point[lanes]
         points = torch.arange(len(numbers))[:, None]
@@ -220,28 +221,35 @@ class RunAdjoint:
                 x = pick_lanes((x if rows_of_steps is None or i < 3 else x[:, rows_of_steps])[at], lanes)
                 x = x if every_point else torch.where(in_phase[:, None, None], x, 0.0)
                 of_states[i] = x if c is None or i == 3 else c.of_whole(i, x)
-        end = State(*(x[..., 0, group].movedim(0, -2) for x in so_far.end))
+        by_start = end = None  # cotangents of the first state, and of the one at the base of the last step
+        if so_far.end is not None and base >= 0:
+            end = State(*(x[..., 0, group].movedim(0, -2) for x in so_far.end))
+            by_start = end if base == 0 else None
         if len(points) == 1:
-            by_start, by_data = end if base == 0 else end.map(torch.zeros_like), {}
             if at.stop > at.start:
+                q, v, vd, a, lam = by_start or record.arrival.map(lambda x: x.new_zeros(len(x), rows, len(lanes)))
                 by_q, by_v, by_vd, by_lam = (0.0 if x is None else x[0] for x in of_states)
-                q, v, vd, a, lam = by_start
                 by_start = State(q + by_q, v + by_v, vd + by_vd, a, lam + by_lam)
         else:
             if all(x is None for x in of_states):  # the rows of the others tell their number
-                of_states[0] = end.q.new_zeros(at.stop - at.start, *end.q.shape)
+                of_states[0] = torch.zeros(
+                    at.stop - at.start, len(record.arrival.q), rows, len(lanes), dtype=torch.float64
+                )
             solver = self._solver(record, points, base, group)
-            of_steps, error = solver(of_states, {base: end} if base > 0 else {})
+            of_steps, error = solver(of_states, {} if end is None or base == 0 else {base: end})
             self.error[lanes] = self.error[lanes].maximum(error)
             by_leaf = solver.grid.cotangents(of_steps)
-            by_start = State(*(by_leaf.pop(f"state {name}") for name in State._fields))
-            if base == 0:
-                by_start = State(*(x + y for x, y in zip(by_start, end, strict=True)))
-            by_data = {("data", name): x for name, x in by_leaf.items()}
-        for total, x in zip(so_far.arrival, by_start, strict=True):
-            total[..., group] = x.movedim(-2, 0).unsqueeze(-2)
-        for key, x in by_data.items():
-            so_far.add(key, group, x.movedim(-2, 0).unsqueeze(-2))
+            if _STATE[0] in by_leaf:
+                of_first = State(*(by_leaf.pop(name) for name in _STATE))
+                by_start = (
+                    of_first if by_start is None else State(*(x + y for x, y in zip(of_first, by_start, strict=True)))
+                )
+            for name, x in by_leaf.items():
+                so_far.add(("data", name), group, x.movedim(-2, 0).unsqueeze(-2))
+        if by_start is not None:
+            so_far.arrival = so_far.arrival or zeros(rows, pick_states(record.arrival, so_far.lanes))
+            for total, x in zip(so_far.arrival, by_start, strict=True):
+                total[..., group] = x.movedim(-2, 0).unsqueeze(-2)
 
     def _left_out(self, record: PhaseRecord) -> Condensation | None:
         """What the states of the run have besides those of the steps of a segment; None: they are the same."""
@@ -274,12 +282,10 @@ class RunAdjoint:
         if c is not None:
             q, v, vd = q[:, c.coordinates], v[:, c.independent], vd[:, c.independent]
         history = History(q, v, vd, lam if rows is None else lam[:, rows])
-        start = pick_states(record.arrival, lanes).map(leaf)
-        leaves, dynamics = self._leaves_of_steps(record, group, lanes)
-        state = {f"state {name}": x for name, x in zip(State._fields, start, strict=True)}
+        leaves, dynamics, start = self._leaves_of_steps(record, group, lanes)
         offset, cuts, starts = -points.start % every, [base] if 0 < base < len(points) - 1 else [], None
         if every > 1:
-            starts = {0: start.map(Tensor.detach)}
+            starts = {0: pick_states(record.arrival, lanes)}
             for k, a in record.checkpoints.items():
                 if points.start < k < points[-1]:
                     q, v, vd, lam = (x[(k - points.start - offset) // every] for x in history.states)
@@ -287,7 +293,7 @@ class RunAdjoint:
         return Grid(
             lanes=lanes,
             history=history,
-            leaves=leaves | state,
+            leaves=leaves,
             dynamics=dynamics,
             start=start,
             weights=self.weights,
@@ -304,16 +310,21 @@ class RunAdjoint:
 
     def _leaves_of_steps(
         self, record: PhaseRecord, group: list[int], lanes: list[int]
-    ) -> tuple[dict[str, Tensor], Dynamics]:
-        """Data of some lanes as leaves, and the dynamics of the steps of a segment as a function of these."""
+    ) -> tuple[dict[str, Tensor], Dynamics, State]:
+        """Leaves by name, and the dynamics and the first state of the steps of some lanes as functions of these.
+
+        Leaves are the data and the first state. That of the first segment is a function of the data, where these are the leaves
+        of the initial state as well.
+        """
         if not record.number and len(group) == len(self.lanes) and not self.run.segments[0].locks:
-            leaves = self._start.leaves.leaves.items()
-            return {name: x for (kind, name), x in leaves if kind == "data"}, self._start.made.condensed
-        dynamics = record.dynamics.select_lanes(lanes)
+            leaves, made = self._start
+            return {name: x for (kind, name), x in leaves.leaves.items() if kind == "data"}, made.condensed, made.start
+        dynamics, start = record.dynamics.select_lanes(lanes), pick_states(record.arrival, lanes).map(leaf)
         names = {name: dynamics.data[name] for name in self._leaf_names}
         leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
         with torch.enable_grad():
-            return leaves, record.condensed_of(dynamics.with_data({**dynamics.data, **leaves}))
+            condensed = record.condensed_of(dynamics.with_data({**dynamics.data, **leaves}))
+        return leaves | dict(zip(_STATE, start, strict=True)), condensed, start
 
     @cached_property
     def _start(self) -> _Start:
@@ -322,11 +333,14 @@ class RunAdjoint:
 
     def _initial(self, so_far: _Cotangents, rows: int) -> None:
         """From the initial states, and those at the first point of the grid, to the leaves."""
-        (leaves, made), segment = self._start, self.run.segments[0]
-        outputs, of_outputs = [*made.start], [*so_far.arrival]
-        if so_far.start is not None:
-            outputs += made.state
-            of_outputs += so_far.start[1:]
+        segment = self.run.segments[0]
+        if so_far.arrival is None and so_far.start is None and not segment.locks:
+            return  # the steps led to the leaves
+        leaves, made = self._start
+        outputs, of_outputs = [], []
+        for state, cotangents in ((made.start, so_far.arrival), (made.state, (so_far.start or [])[1:])):
+            outputs += state if cotangents else []
+            of_outputs += cotangents or []
         self._add_marks(made.whole.data, segment, so_far, outputs, of_outputs)
         by_inputs = pulled_back(outputs, of_outputs, list(leaves.leaves.values()), rows, at_once=True)
         for key, cotangent in zip(leaves.leaves, by_inputs, strict=True):
@@ -381,18 +395,19 @@ class RunAdjoint:
         outputs: list[Tensor] = [] if so_far.start is None else [t, *after]
         of_outputs: list[Tensor | None] = [*(so_far.start or [])]
         first, on_grid = record.first[lanes], record.on_grid[lanes]
-        direct = lane_numbers(on_grid)
+        arrivals = so_far.arrival or []
+        direct = lane_numbers(on_grid) if arrivals else []
         if direct:
             outputs += record.retained(pick_states(after, direct))
-            of_outputs += [x[..., direct] for x in so_far.arrival]
-        indices = lane_numbers(~on_grid & (first < len(run.times)))
+            of_outputs += [x[..., direct] for x in arrivals]
+        indices = lane_numbers(~on_grid & (first < len(run.times))) if arrivals else []
         if indices:
             end, begin = run.times[first[indices]][None], t[:, indices]
             arrival = pick_states(record.arrival, [lanes[i] for i in indices])
             some = record.condensed_of(lanes_of(dynamics, indices))
             x = record.retained(pick_states(after, indices))
             outputs += step_to(some, self.integrator.weights, x, end - begin, end, arrival)
-            of_outputs += [x[..., indices] for x in so_far.arrival]
+            of_outputs += [x[..., indices] for x in arrivals]
         between = run.phase_number[:: run.every, lanes] == record.number
         between &= run.every * torch.arange(len(between))[:, None] < first
         for k in lane_numbers(between.any(1)):
