@@ -30,6 +30,7 @@ STAGES = {  # part of a path, or path:function -> stage
     "study/journal.py": "tracking",
     "study/evaluations.py": "tracking",
     "integrate/adjoint.py": "adjoint",
+    "integrate/phases/adjoint.py": "adjoint",
     "integrate/pullback.py": "adjoint",
     "native/backward.py": "adjoint",
     "integrate/motion.py:backward": "adjoint",

@@ -108,6 +108,7 @@ PATH = (
             ("integrate/motion.py", "Motion"),
             ("integrate/reverse_integration.py", "ReverseIntegration"),
             ("integrate/adjoint.py", "Adjoint"),
+            ("integrate/phases/adjoint.py", "RunAdjoint"),
             ("integrate/pullback.py", "StepPullback"),
         ),
         "dJ/d data",

@@ -20,12 +20,16 @@ from torchmbd.results.state import State
 
 
 class Prepared(NamedTuple):
-    """A system, the condensed system, and the initial states of that and of the whole; one where nothing is condensed."""
+    """A system, the condensed system, and the initial states of that and of the whole; one where nothing is condensed.
+
+    leaves   names of the data that are leaves of torch, of which all this is a function
+    """
 
     whole: Dynamics
     condensed: Dynamics
     start: State
     state: State
+    leaves: tuple[str, ...] = ()
 
     def detached(self) -> Prepared:
         """The same without a graph of torch."""
@@ -58,7 +62,7 @@ def differentiable(dynamics: Dynamics, names: Sequence[str]) -> Dynamics:
     leaves = {name: leaf(expanded(dynamics.data[name], dynamics.lanes)) for name in names}
     of_leaves = replace(dynamics, data={**dynamics.data, **leaves})
     with torch.enable_grad():
-        prepare(of_leaves)
+        of_leaves.prepared = prepare(of_leaves)._replace(leaves=tuple(names))
     return of_leaves
 
 

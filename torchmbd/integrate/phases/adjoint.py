@@ -111,9 +111,8 @@ class RunAdjoint:
     lanes: list[int]
 
     def __post_init__(self) -> None:
-        self.h = self.run.duration / self.run.steps
         self.integrator: OneStep = self.run.integrator
-        self.weights: Weights = self.integrator.weights(self.h)
+        self.weights: Weights = self.integrator.weights(self.run.duration / self.run.steps)
         self.error = torch.zeros(self.run.whole.lanes, dtype=torch.float64)
         locks = any(segment.locks for segment in self.run.segments)
         marks = [name for name in MARKED if locks and name in self.run.data_without_marks]
@@ -141,7 +140,7 @@ class RunAdjoint:
         return so_far.by
 
     def _exit(self, record: PhaseRecord, so_far: _Cotangents, rows: int) -> None:
-        """From where lanes left a phase to the bases of their last steps."""
+        """From where lanes left a segment to the bases of their last steps."""
         so_far.start = so_far.end = None
         indices = lane_numbers(record.has_exit[so_far.lanes])  # counted among those of so_far
         if not indices:
@@ -239,11 +238,9 @@ class RunAdjoint:
             of_steps, error = solver(of_states, {} if end is None or base == 0 else {base: end})
             self.error[lanes] = self.error[lanes].maximum(error)
             by_leaf = solver.grid.cotangents(of_steps)
-            if _STATE[0] in by_leaf:
-                of_first = State(*(by_leaf.pop(name) for name in _STATE))
-                by_start = (
-                    of_first if by_start is None else State(*(x + y for x, y in zip(of_first, by_start, strict=True)))
-                )
+            of_first = [by_leaf.pop(name) for name in _STATE if name in by_leaf]
+            if of_first:
+                by_start = State(*of_first) if end is None or base else State(*map(torch.add, of_first, end))
             for name, x in by_leaf.items():
                 so_far.add(("data", name), group, x.movedim(-2, 0).unsqueeze(-2))
         if by_start is not None:

@@ -24,16 +24,23 @@ Key = tuple[str, str]  # kind of a leaf, "data", "design" or "shape", and its na
 class LaneLeaves:
     """Data, designs and mode shapes of some lanes as leaves of a graph; shapes on demand.
 
-    dynamics   of these lanes;  names: of the data that are leaves. Data that are leaves already stay.
+    dynamics   of these lanes;  names: of the data that are leaves
+    are_made   these data are leaves already
     """
 
-    def __init__(self, views: Views, lanes: Sequence[int], dynamics: Dynamics, names: Sequence[str]):
+    def __init__(
+        self, views: Views, lanes: Sequence[int], dynamics: Dynamics, names: Sequence[str], are_made: bool = False
+    ):
         self.leaves: dict[Key, Tensor] = {}
-        data = {
-            name: self._leaf("data", name, x if x.requires_grad else expanded(x, len(lanes))) if name in names else x
-            for name, x in dynamics.data.items()
-        }
-        self.dynamics = dynamics.with_data(data)
+        self.dynamics = dynamics
+        if are_made:
+            self.leaves = {("data", name): dynamics.data[name] for name in names}
+        else:
+            data = {
+                name: self._leaf("data", name, expanded(x, len(lanes))) if name in names else x
+                for name, x in dynamics.data.items()
+            }
+            self.dynamics = dynamics.with_data(data)
         self.views = views.with_leaves(
             lanes,
             lambda name, x: self._leaf("design", name, x),
@@ -41,7 +48,7 @@ class LaneLeaves:
         )
 
     def _leaf(self, kind: str, name: str, x: Tensor) -> Tensor:
-        return self.leaves.setdefault((kind, name), x if x.requires_grad else leaf(x))
+        return self.leaves.setdefault((kind, name), leaf(x))
 
 
 def pulled_back(

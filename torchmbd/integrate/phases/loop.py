@@ -78,7 +78,7 @@ class _PhaseLoop:
         self.integrator, self.segment = multiphase.integrator, multiphase.segments[number]
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
         self.short = max(self.integrator.shortest_step, _SAME)
-        self.dynamics, self.condensed, start_of_steps, x = multiphase.enter(number, entry)
+        self.dynamics, self.condensed, start_of_steps, x, _ = multiphase.enter(number, entry)
         self.ends = multiphase.end_times(self.segment, entry.t, self.dynamics.data)
         self.entry, self.alive = PhaseExit(entry.t, x), multiphase.entered_lanes(entry)
         self.lanes = len(self.alive)

@@ -69,7 +69,7 @@ class MultiphaseRun:
     def __post_init__(self) -> None:
         lanes = self.whole.lanes
         self.single: Prepared | None = None
-        self.start_as_made: Prepared | None = None  # a function of leaves where the data are leaves
+        self.start_as_made: Prepared | None = None  # of a single segment: a function of leaves, where there are any
         if is_single(self.segments, self.whole.topology):
             self.start_as_made = self._prepared(self.whole)
             self.single = self.start_as_made.detached()
@@ -164,9 +164,9 @@ class MultiphaseRun:
         """Data of these names as leaves, and the initial state of some lanes and the dynamics of the first segment as
         functions of these: as the motion had them where it was made of leaves."""
         record, made = self.records[0], self.start_as_made
-        if made is not None and _are_leaves(made.whole, lanes, names):
+        if made is not None and set(names).issubset(made.leaves) and list(lanes) == list(range(self.whole.lanes)):
             made.condensed.share_rank(record.condensed)
-            return LaneLeaves(self.views, lanes, made.whole, names), made
+            return LaneLeaves(self.views, lanes, made.whole, names, are_made=True), made
         whole = lanes_of(replace(self.whole, data=self.data_without_marks), lanes)
         with torch.enable_grad():
             leaves = LaneLeaves(self.views, lanes, whole, names)
@@ -377,12 +377,6 @@ class MultiphaseRun:
                     reason = f"its event does not occur before the simulation ends at t = {self.duration:g} s"
                 self.failed_for_good.add(lane)
                 self.fail(lane, f"phase {segment.name!r} never ends: {reason}")
-
-
-def _are_leaves(whole: Dynamics, lanes: Sequence[int], names: Sequence[str]) -> bool:
-    """Whether data of these names are leaves, and these are all lanes in their order."""
-    data = whole.data
-    return list(lanes) == list(range(whole.lanes)) and all(value(data[name]).requires_grad for name in names)
 
 
 def _least_norm(whole: Dynamics, segment: Segment, dynamics: Dynamics) -> LeastNorm | None:
