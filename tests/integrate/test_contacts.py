@@ -123,6 +123,26 @@ def test_lanes_get_what_they_need():
 
 
 @pytest.mark.thorough
+def test_gradients_of_lanes_are_those_of_each_alone():
+    """Two lanes have smaller steps, in one run; they go back together, and give the gradient that each has alone."""
+    system = dropped(stiffness=mbd.variable(K), damping=0.1)
+    stiffness = torch.tensor([1e2, 2e4, 1e2, 1.8e4], dtype=torch.float64)
+
+    def gradient(k: Tensor) -> tuple[Tensor, mbd.Trajectory]:
+        k = k.clone().requires_grad_()
+        motion = mbd.simulate(system, 0.25, steps=60, designs={"floor.stiffness": k}, iterations=(5, 4)).require_ok()
+        return torch.autograd.grad(motion.q[:, -1, 2].sum(), k)[0], motion
+
+    together, motion = gradient(stiffness)
+    assert motion.stats["halved"] == [1, 3]
+    (runs,) = motion.integration.adjoint._runs.values()
+    assert [run.lanes for run in runs] == [[0, 2], [1, 3]]
+    alone = torch.cat([gradient(k[None])[0] for k in stiffness])
+    assert float(alone[1].abs()) > 0
+    assert_close(together, alone, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["reverse", "forward"])
 def test_derivatives_go_through_smaller_steps(gradients):
     system = dropped(stiffness=mbd.variable(2e4), damping=0.1)
