@@ -8,10 +8,12 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.errors import InputError
 
 E, NU = 70e9, 0.3
@@ -31,8 +33,8 @@ def profile(name: str, **options: Any) -> Any:
     return getattr(mbd.sections, name)(**sizes | options)
 
 
-def lines(name: str) -> list[tuple[tuple, tuple]]:
-    """Middles of the walls."""
+def lines(name: str, radius: float = 0.0) -> list[tuple[tuple, tuple]]:
+    """Middles of the walls; of arcs of an inner radius: many chords."""
     if name == "t_section":
         z = (H - T) / 2
         return [((-B / 2, z), (B / 2, z)), ((0.0, z - T / 2), (0.0, -H / 2))]
@@ -40,12 +42,24 @@ def lines(name: str) -> list[tuple[tuple, tuple]]:
     if points is None:
         y, z = (B / 2 - T) / 2, (H - T) / 2
         points = [(-B / 2, -z), (-y, -z), (-y, z), (y, z), (y, -z), (B / 2, -z)]
+    if radius:
+        points = rounded(np.array(points), radius + T / 2)
     return list(itertools.pairwise(points))
 
 
-def thin_walls(name: str) -> tuple[float, torch.Tensor, torch.Tensor, float]:
+def rounded(points: np.ndarray, radius: float) -> list[np.ndarray]:
+    """A path of right angles whose corners are arcs."""
+    result = [points[0]]
+    for before, corner, after in zip(points, points[1:], points[2:], strict=False):
+        a, b = ((p - corner) / np.linalg.norm(p - corner) for p in (before, after))
+        for angle in np.linspace(0.0, np.pi / 2, 200):
+            result.append(corner + radius * (a + b - np.cos(angle) * b - np.sin(angle) * a))
+    return [*result, points[-1]]
+
+
+def thin_walls(name: str, radius: float = 0.0) -> tuple[float, torch.Tensor, torch.Tensor, float]:
     """Area, center [2], second moments about it [2, 2], and sum of b t^3 / 3."""
-    ends = torch.tensor(lines(name), dtype=torch.float64)
+    ends = torch.tensor(np.array(lines(name, radius)), dtype=torch.float64)
     along = ends[:, 1] - ends[:, 0]
     b, middle = along.norm(dim=1), ends.mean(1)
     area = T * b.sum()
@@ -58,14 +72,17 @@ def thin_walls(name: str) -> tuple[float, torch.Tensor, torch.Tensor, float]:
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("radius", [0.0, 4e-3])
 @pytest.mark.parametrize("name", ["c_section", "l_section", "z_section", "hat_section", "t_section"])
-def test_stiffness_is_that_of_thin_walls(name):
-    section = profile(name, cells=(6, 1))
-    area, center, moments, torsion = thin_walls(name)
+def test_stiffness_is_that_of_thin_walls(name, radius):
+    if radius and name == "t_section":
+        pytest.skip("plies of a T do not go round corners")
+    section = profile(name, cells=(6, 1), **({"radius": radius} if radius else {}))
+    area, center, moments, torsion = thin_walls(name, radius)
     flexibility = torch.linalg.inv(section.stiffness().detach())
     stretch = torch.linalg.inv(flexibility[[0, 4, 5]][:, [0, 4, 5]])  # of strain and curvatures without shear and twist
-    assert section.mass()[0, 0].item() == pytest.approx(2700.0 * area, rel=1e-9)
-    assert stretch[0, 0].item() == pytest.approx(E * area, rel=1e-6)
+    assert section.mass()[0, 0].item() == pytest.approx(2700.0 * area, rel=1e-5 if radius else 1e-9)
+    assert stretch[0, 0].item() == pytest.approx(E * area, rel=1e-5 if radius else 1e-6)
     y, z = center.tolist()
     assert stretch[0, 1].item() / (E * area) == pytest.approx(z, abs=2e-3 * T)  # corners
     assert stretch[0, 2].item() / (E * area) == pytest.approx(-y, abs=2e-3 * T)  # corners
@@ -109,3 +126,46 @@ def test_walls_that_do_not_fit_are_refused(name, sizes, text):
     with pytest.raises(InputError) as error:
         profile(name, **sizes)
     assert text in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["c_section", "l_section", "z_section", "hat_section"])
+def test_a_radius_is_a_design_variable(name):
+    """Each corner of a right angle has 2 R - pi R / 2 less of the middle of a wall."""
+    corners = {"c_section": 2, "l_section": 1, "z_section": 2, "hat_section": 4}[name]
+    radius = mbd.variable(4e-3)
+    section = profile(name, radius=radius, cells=(4, 1))
+    section.mass()[0, 0].backward()
+    assert radius.grad is not None
+    assert radius.grad.item() == pytest.approx(
+        -2700.0 * T * corners * (2.0 - np.pi / 2), rel=3e-4
+    )  # arcs are parabolas
+
+
+def test_a_laminate_goes_half_way_round_a_corner():
+    """The masses of plies of two densities differ by half of an arc."""
+    heavy = mbd.Ply.isotropic(E=E, nu=NU, density=5400.0)
+    angles = {"bottom": [0.0], "left": [0.0]}
+    both, one = (profile("l_section", ply=ply, angles=angles, radius=4e-3) for ply in ([STEEL, STEEL], [STEEL, heavy]))
+    R = 4e-3 + T / 2
+    length = H - T / 2 - R + np.pi * R / 4
+    assert (one.mass() - both.mass())[0, 0].item() == pytest.approx(2700.0 * T * length, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "argument", "sizes"),
+    [
+        ("c_section", "c_section.height", {"radius": 0.03}),
+        ("l_section", "l_section.width", {"radius": 0.04}),
+        ("hat_section", "crown", {"crown": 0.03, "radius": 0.006}),
+        ("z_section", "radius", {"radius": -1e-3}),
+        ("z_section", "radius", {"radius": float("nan")}),
+    ],
+)
+def test_radii_that_do_not_fit(name, argument, sizes):
+    with refused(argument):
+        profile(name, **sizes)
+
+
+def test_a_variable_radius_of_zero_is_refused():
+    with refused("radius"):
+        profile("c_section", radius=mbd.variable(0.0))

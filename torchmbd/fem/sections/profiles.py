@@ -7,14 +7,21 @@ the walls is a path of points P with directions d and normals n to their left:
 
 Plies are listed along n: from inside to outside of C, L and hat, from the right to the left of a Z's web, from bottom to top of
 a T's flange. The wall's tangent s = d, and the ply angle is counted from x to s.
-All lengths in m, angles in rad; the origin is the center of the outer dimensions. Corners are sharp.
-Widths, heights and thicknesses may be Parameters (mbd.variable): design variables of the section by these names.
+Corners of an inner radius r are arcs about C, from the end of one wall to the start of the next. s is 1 where the path turns
+left and -1 where it turns right, R = r + t / 2 the radius of the middle of walls of thickness t:
+
+    C = P - R d1 + s R n1,   points C + (R - s a) (d1 sin phi - s n1 cos phi),   0 <= phi <= 90 degrees
+
+Each half of an arc has the laminate of its wall.
+All lengths in m, angles in rad; the origin is the center of the outer dimensions.
+Widths, heights, radii and thicknesses may be Parameters (mbd.variable): design variables of the section by these names.
 Checked in tests/fem/sections/test_profiles.py: against closed forms of thin walls.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -36,13 +43,15 @@ from torchmbd.fem.sections.generators import (
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.patches import Patch, between, graded, grid, line, parametric_mesh
 from torchmbd.fem.sections.section import Section
-from torchmbd.math.gradients import constant_arguments
+from torchmbd.math.checked_numbers import nonnegative, positive
+from torchmbd.math.gradients import constant_arguments, is_variable
 from torchmbd.math.variable import number
 
 Walls = Angles | Mapping[str, Angles]
 _RIGHT, _LEFT, _UP, _DOWN = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
 # Along each wall and through each ply: torsion within 1 % of its limit.
 _CELLS = (12, 1)
+_ARC = 2  # elements along half of a corner
 
 
 @constant_arguments
@@ -54,6 +63,7 @@ def c_section(
     thickness: Varying,
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
+    radius: float | Tensor = 0.0,
 ) -> Section:
     """A channel that opens to +y: outer width of its flanges, outer height of its web.
 
@@ -61,6 +71,7 @@ def c_section(
                section's angles those of bottom, web, top, one after the other. All walls have as many plies
     thickness  of every ply, or one for each ply of a wall
     cells      along each wall, through each ply
+    radius     of the inside of the corners, which are sharp by default
 
     >>> section = mbd.sections.c_section(0.03, 0.06, mbd.examples.carbon(), mbd.deg([0, 45]), thickness=1e-3, cells=(4, 1))
     >>> round(section.mass()[0, 0].item() / 1586.0 * 1e6, 6)  # area: 2 mm x (60 + 2 x 28) mm
@@ -72,9 +83,8 @@ def c_section(
         return [(width / 2, -z), (y, -z), (y, z), (width / 2, z)]
 
     walls = {"bottom": _LEFT, "web": _UP, "top": _RIGHT}
-    return _chain(
-        "c_section", walls, path, {"width": width, "height": height}, (1, 2), ply, angles, thickness, cells, order
-    )
+    lengths = {"width": width, "height": height}
+    return _chain("c_section", walls, path, lengths, (1, 2), ply, angles, thickness, cells, order, radius)
 
 
 @constant_arguments
@@ -86,6 +96,7 @@ def l_section(
     thickness: Varying,
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
+    radius: float | Tensor = 0.0,
 ) -> Section:
     """An angle with its corner at the lower left: outer width and height; walls "bottom" and "left".
 
@@ -97,9 +108,8 @@ def l_section(
         return [(width / 2, z), (y, z), (y, height / 2)]
 
     walls = {"bottom": _LEFT, "left": _UP}
-    return _chain(
-        "l_section", walls, path, {"width": width, "height": height}, (1, 1), ply, angles, thickness, cells, order
-    )
+    lengths = {"width": width, "height": height}
+    return _chain("l_section", walls, path, lengths, (1, 1), ply, angles, thickness, cells, order, radius)
 
 
 @constant_arguments
@@ -111,6 +121,7 @@ def z_section(
     thickness: Varying,
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
+    radius: float | Tensor = 0.0,
 ) -> Section:
     """A Z: outer width of each flange with the web, outer height; walls "bottom" (to +y), "web", "top" (to -y).
 
@@ -122,9 +133,8 @@ def z_section(
         return [(y, -z), (0.0 * y, -z), (0.0 * y, z), (-y, z)]
 
     walls = {"bottom": _LEFT, "web": _UP, "top": _LEFT}
-    return _chain(
-        "z_section", walls, path, {"width": width, "height": height}, (1, 2), ply, angles, thickness, cells, order
-    )
+    lengths = {"width": width, "height": height}
+    return _chain("z_section", walls, path, lengths, (1, 2), ply, angles, thickness, cells, order, radius)
 
 
 @constant_arguments
@@ -137,16 +147,18 @@ def hat_section(
     thickness: Varying,
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
+    radius: float | Tensor = 0.0,
 ) -> Section:
     """A hat that opens to -z: width from foot to foot, outer width of its crown, outer height.
 
     Walls "left_foot", "left_web", "crown", "right_web", "right_foot". Others as of `c_section`.
     """
-    if not number(crown) < number(width):
+    if not number(crown) < number(width) - 2.0 * number(radius):
+        limit = f"the width {number(width):g} m" + (" without two radii" if number(radius) > 0.0 else "")
         raise InputError(
             "crown",
             number(crown),
-            rule=f"must be less than the width {number(width):g} m",
+            rule=f"must be less than {limit}",
             noun="hat_section: crown",
             shown=f"{number(crown):g} m",
         )
@@ -157,7 +169,7 @@ def hat_section(
 
     walls = {"left_foot": _RIGHT, "left_web": _UP, "crown": _RIGHT, "right_web": _DOWN, "right_foot": _RIGHT}
     lengths = {"width": width, "crown": crown, "height": height}
-    return _chain("hat_section", walls, path, lengths, (2, 2, 2), ply, angles, thickness, cells, order)
+    return _chain("hat_section", walls, path, lengths, (2, 2, 2), ply, angles, thickness, cells, order, radius)
 
 
 @constant_arguments
@@ -205,10 +217,11 @@ def _laminates(
     thickness: Varying,
     cells: tuple[int, int],
     order: int,
+    radius: float = 0.0,
 ) -> tuple[int, list[int], Any, Any]:
     """Plies of a wall, the first layer of each wall, plies and angles of the section; InputError names what does not fit.
 
-    least   walls that each length has to be larger than
+    least   walls, and radii of corners, that each length has to be larger than
     """
     check_lengths(**lengths)
     check_cells(cells, 2, order)
@@ -217,13 +230,14 @@ def _laminates(
     layers = count_of_layers(angles[names[0]] if isinstance(angles, Mapping) else angles)
     total = checked_thicknesses(thickness, layers).sum()
     for (name, length), walls in zip(lengths.items(), least, strict=True):
-        if not walls * total < number(length):
+        if not walls * (total + radius) < number(length):
             limit = "the thickness" if walls == 1 else f"{walls} times the thickness"
+            corner = f" and the radius {radius:g} m of a corner" if radius else ""
             raise InputError(
                 (str(kind), name),
                 number(length),
-                rule=f"must be more than {limit} {total:g} m of a wall",
-                hint="thinner or fewer plies",
+                rule=f"must be more than {limit} {total:g} m of a wall{corner}",
+                hint="thinner or fewer plies" + (", a smaller radius" if radius else ""),
                 noun=f"{kind}: {name}",
                 shown=f"{number(length):g} m",
             )
@@ -245,30 +259,51 @@ def _chain(
     thickness: Varying,
     cells: tuple[int, int],
     order: int,
+    radius: float | Tensor,
 ) -> Section:
     """A section whose walls follow one another.
 
     walls   name -> direction;  path: their points in the middle, of the thickness of a wall and the lengths
     """
+    check = positive if is_variable(radius) else nonnegative  # a corner that is sharp stays sharp
+    r = check("radius", number(radius), "m")
     layers, of_walls, plies, section_angles = _laminates(
-        kind, list(walls), lengths, least, ply, angles, thickness, cells, order
+        kind, list(walls), lengths, least, ply, angles, thickness, cells, order, r
     )
+    directions = [np.array(d) for d in walls.values()]
     normals = [np.array((-z, y)) for y, z in walls.values()]
-    at_points = [normals[0], *(a + b for a, b in pairwise(normals)), normals[-1]]
 
-    def build(thickness: Any, **lengths: Any) -> list[Patch]:
+    def build(thickness: Any, radius: Any, **lengths: Any) -> list[Patch]:
         t = np.broadcast_to(thickness, layers)
         faces = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2
         points = [np.array(point) for point in path(t.sum(), **lengths)]
-        share, patches = graded(0.0, 1.0, cells[0], order)[:, None], []
-        for w, first in enumerate(of_walls):
-            for k in range(layers):
-                low, high = (
-                    (1.0 - share) * (points[w] + a * at_points[w]) + share * (points[w + 1] + a * at_points[w + 1])
-                    for a in faces[k : k + 2]
-                )
-                patches.append(Patch(between(low, high, cells[1], order), first + k))
-        return patches
+        bend = radius + t.sum() / 2 if r else 0.0  # the radius of the middle
+        share, last = graded(0.0, 1.0, cells[0], order)[:, None], len(directions) - 1
 
-    mesh = parametric_mesh(build, lengths | {"thickness": thickness}, order)
+        def wall(w: int, a: Any) -> Any:
+            """Points of a wall at a distance a from its middle."""
+            d, n = directions[w], normals[w]
+            start, end = points[w] + (w > 0) * bend * d + a * n, points[w + 1] - (w < last) * bend * d + a * n
+            if not r:  # to the diagonals
+                start, end = start + (a * normals[w - 1] if w else 0.0), end + (a * normals[w + 1] if w < last else 0.0)
+            return (1.0 - share) * start + share * end
+
+        def arc(w: int, half: int, a: Any) -> Any:
+            """Points of a half of the arc between a wall and the next one."""
+            d, n = directions[w], normals[w]
+            s = float(n @ directions[w + 1])
+            center = points[w + 1] - bend * d + s * bend * n
+            phi = 0.25 * np.pi * line(half, half + 1.0, _ARC, order)[:, None]
+            return center + (bend - s * a) * (np.sin(phi) * d - s * np.cos(phi) * n)
+
+        pieces = [(of_walls[w], partial(wall, w)) for w in range(last + 1)]
+        if r:
+            pieces += [(of_walls[w + half], partial(arc, w, half)) for w in range(last) for half in (0, 1)]
+        return [
+            Patch(between(at(faces[k]), at(faces[k + 1]), cells[1], order), first + k)
+            for first, at in pieces
+            for k in range(layers)
+        ]
+
+    mesh = parametric_mesh(build, lengths | {"thickness": thickness, "radius": radius}, order)
     return Section(mesh, plies, section_angles)
