@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
@@ -162,3 +163,27 @@ def test_bodies_without_known_stress_are_refused():
     body = mbd.FlexibleBody("link", mesh, {"beam": Beams(mesh, section), "spring": spring}, 1, reference=0)
     with pytest.raises(mbd.InputError, match="part 'spring' of 'link' is rods, springs or solids"):
         mbd.buckling(body, {1: (-1.0, 0.0, 0.0)})
+
+
+def test_a_design_without_stiffness_is_a_failed_evaluation():
+    """Lamination parameters that no stack has: the plate's matrix is not definite, and a search goes on with other designs."""
+    laminate = mbd.LaminationParameters(
+        mbd.examples.carbon(), 2e-3, membrane=[0, 0, 0, 0], bending=[0, 0, 0, 0], checked=False
+    )
+    mesh = mbd.mesh.rectangle(0.5, 0.3, cells=(4, 3))
+    panel = mbd.FlexibleBody.plate("panel", mesh, laminate, modes=1, reference="left_edge")
+    system = mbd.System([panel], [mbd.Fixed(mbd.Ground().at(), panel.at("left_edge"))])
+    edges = {
+        "left_edge": "u1 u3",
+        "right_edge": "u3",
+        "bottom_edge": "u3",
+        "top_edge": "u3",
+        "corner_left_bottom": "u2 u3",
+    }
+    buckling = mbd.BucklingFactor("panel", {"right_edge": (-3e3, 0, 0)}, edges)
+    problem = mbd.Problem(
+        system, 1e-3, minimize=-1.0 * buckling, variables=["panel.laminate.bending"], bounds=(-1, 1), steps=2
+    )
+    sound, failed = problem.evaluate(np.array([[0.0, 0.0, 0.0, 0.0], [0.9, 0.0, -1.0, 0.0]]), False)
+    assert sound.ok
+    assert "leave it movable" in failed.status or "not positive definite" in failed.status

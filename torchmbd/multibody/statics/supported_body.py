@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import DesignFailure, InputError
 from torchmbd.fem.elements import FREEDOMS, Assembly
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
@@ -104,9 +104,9 @@ class SupportedBody:
         size = flat.gather(-2, flat.abs().argmax(-2, keepdim=True))[..., None, :]
         return motion / torch.where(size == 0.0, 1.0, size)
 
-    def movable(self, error: InputError) -> InputError:
-        """The error for a stiffness on supports that is not positive definite."""
-        return InputError(f"supports of {self.name!r} leave it movable: {error}")
+    def movable(self, error: InputError) -> DesignFailure:
+        """The error for a stiffness on supports that is not positive definite: by the supports, or in one design."""
+        return DesignFailure(f"supports of {self.name!r} leave it movable: {error}")
 
 
 def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, float]:
