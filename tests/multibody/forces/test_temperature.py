@@ -325,14 +325,27 @@ def test_shapes_that_modes_or_others_have_are_not_added_twice():
     """Moisture of a metal expands it as temperature does: one shape."""
     metal = mbd.Ply.isotropic(70e9, 0.3, 2700.0, alpha=23e-6, beta=0.1)
     body = skewed(mbd.Laminate(metal, [0.0], 1e-3), "quad")
-    assert body.reduction.shapes is not None
-    assert [body.expansion.loads[k] for k in body.reduction.shapes.columns] == [
-        (None, "temperature"),
-        (None, "gradient"),
-    ]
+    bare = mbd.FlexibleBody.plate("panel", body.mesh, mbd.Laminate(metal, [0.0], 1e-3), 2, reference=5)
+    assert len(body.expansion.loads) == 3
+    assert body.modes == bare.modes + 2
     assert body.modes in body.mode_counts
     wet, warm = mbd.Temperature(body, moisture=0.003), mbd.Temperature(body, 0.003 * 0.1 / 23e-6)
     assert_close(displacements(body, wet), displacements(body, warm), rtol=0, atol=1e-12)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("first", [40.0, 45.0])
+def test_designs_of_one_batch_have_as_many_shapes_as_each_needs(first):
+    """[45, -45] has one shape of temperature and moisture, its neighbors have two: all are exact, whatever was built."""
+    angles = mbd.deg([[40.0, -40.0], [44.9, -44.9], [45.0, -45.0]])
+    body = strip(mbd.Laminate(CARBON, mbd.deg([first, -first]), 0.25e-3, symmetric=True))
+    system = held(body, mbd.Temperature(body, lambda t: 10.0 + 0.0 * t, moisture=0.001))
+    designs = {"strip.laminate.angles": angles}
+    motion = mbd.simulate(system, 1e-3, steps=2, backend="eager", start="equilibrium", designs=designs).require_ok()
+    found = motion.body("strip").at("right").position[:, -1, 0].detach() - 0.1
+    for x, design in zip(found, angles, strict=True):
+        free = mbd.Laminate(CARBON, design, 0.25e-3, symmetric=True).expansion(10.0, 0.0, 0.001)
+        assert float(x) == pytest.approx(0.2 * float(free.strain[0]), rel=1e-6)
 
 
 @pytest.mark.thorough

@@ -5,7 +5,7 @@
     "craig-bampton"    constraint modes of interface freedoms, m fixed-interface modes               i + m
 
 m is the number n that was requested, or up to MORE more: each design is cut in a wide gap (cut.py). Static shapes, such as
-those of a change of temperature, are added to both (static_shapes.py).
+those of a change of temperature, are added to both, as many as are independent in a design (static_shapes.py).
 
 A reduction maps K and M of the free freedoms to a basis that is orthonormal in M and a full reduced stiffness, with exact
 derivatives. `updated=False` holds the basis fixed while the stiffness is differentiated (eq. 36): the fixed-mode approach
@@ -53,13 +53,13 @@ class VibrationModes:
         return _with_shapes(self, K, M, lambda K, M, updated: modal_basis(K, M, self.n, updated=updated, more=MORE))
 
     @property
-    def fewest(self) -> int:
-        """Least number of modes of a design."""
-        return self.n + self.kept
+    def counts(self) -> range:
+        """Numbers of modes that designs may have."""
+        return range(self.n, self.n + self.kept + MORE + 1)
 
     @property
     def kept(self) -> int:
-        """Number of shapes beside the n modes."""
+        """Largest number of shapes beside the n modes."""
         return 0 if self.shapes is None else self.shapes.count
 
 
@@ -83,13 +83,13 @@ class CraigBampton:
         return _with_shapes(self, K, M, reduce)
 
     @property
-    def fewest(self) -> int:
-        """Least number of modes of a design."""
-        return self.n + self.kept
+    def counts(self) -> range:
+        """Numbers of modes that designs may have."""
+        return range(self.n + len(self.interface), self.n + self.kept + MORE + 1)
 
     @property
     def kept(self) -> int:
-        """Number of shapes beside the n modes."""
+        """Largest number of shapes beside the n modes."""
         return len(self.interface) + (0 if self.shapes is None else self.shapes.count)
 
 

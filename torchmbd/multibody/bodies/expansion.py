@@ -115,4 +115,4 @@ class Expansion:
                     self.loads.append((zone, change))
         if not self.loads:
             raise InputError(f"expansion of {self.name!r}: {refused[0]}")
-        return StaticShapes(self.assembly.pattern, self.free_forces)
+        return StaticShapes(self.assembly.pattern, self.free_forces, len(self.loads))

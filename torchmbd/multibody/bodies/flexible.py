@@ -37,7 +37,6 @@ from torchmbd.fem.elements.links import RigidLink
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
-from torchmbd.fem.reduction.registry import MORE
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.expansion import Expansion
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
@@ -181,7 +180,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reduction = getattr(self.given_structure, "reduction", None) or getattr(self, "reduction", None)
         if reduction is None:
             return range(self.modes, self.modes + 1)
-        return range(reduction.fewest, reduction.fewest + MORE + 1)
+        return reduction.counts
 
     @property
     def is_held_at_a_point(self) -> bool:

@@ -69,15 +69,9 @@ def reduced(
     if kind not in REDUCTIONS:
         raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
     try:
-        reduction = REDUCTIONS[kind](int(modes), held, updated)
+        reduction = REDUCTIONS[kind](int(modes), held, updated, shapes)
         with torch.no_grad():
-            K, M = matrices(assembly)
-            basis = reduction(K, M)
-            if shapes is not None:
-                shapes.choose(basis, K, M)
-                reduction = replace(reduction, shapes=shapes)
-                basis = reduction(K, M)
-            return reduction, basis.stiffness.shape[-1]
+            return reduction, reduction(*matrices(assembly)).stiffness.shape[-1]
     except IndefiniteStiffness as error:
         raise InputError(f"reduction of {name!r}: {error}. {_place(assembly, error.row)}") from None
     except InputError as error:

@@ -47,7 +47,7 @@ def enrich(body: Any, modes: int) -> bool:
     with torch.no_grad():
         K, M = matrices(body.assembly) if structure is None else structure.pencil()
         before = body.reduction if structure is None else structure.reduction
-        kept, most = modes - before.kept, K.size - before.kept
+        kept, most = max(before.n, modes - before.kept), K.size - before.kept
         n = min(max(kept + LEAST, math.ceil(MORE * kept)), most)
         if n <= kept:
             return False
