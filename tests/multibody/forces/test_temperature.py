@@ -203,6 +203,28 @@ def test_sections_of_plies_expand_as_laminates():
         assert float(result.stress.detach().abs().max()) < 1e-9 * 70e9 * 23e-6
 
 
+@pytest.mark.parametrize("angles", [[40.0], [40.0, 40.0]])
+def test_sections_of_one_slanted_ply_shear(angles):
+    """All strains are uniform and free of stress: eps = a1 c^2 + a2 s^2, gamma_xy = 2 (a1 - a2) s c."""
+    section = mbd.sections.strip(0.04, CARBON, mbd.deg(angles), thickness=1e-3)
+    free = section.expansion("temperature")
+    c, s = math.cos(math.radians(40.0)), math.sin(math.radians(40.0))
+    a1, a2 = -0.3e-6, 28e-6
+    expected = tensor(a1 * c**2 + a2 * s**2, 2.0 * (a1 - a2) * s * c, 0.0, 0.0, 0.0, 0.0)
+    assert_close(free.strain.detach(), expected, rtol=0, atol=1e-12)
+    assert_close(section.free_strain("temperature"), free.strain, rtol=0, atol=0)
+    assert float(free.stress.detach().abs().max()) < 1e-9 * 128e9 * a2
+
+
+def test_sections_of_an_unbalanced_stack_shear_as_plates():
+    """[10, 60]s of a thin strip: the strain and the shear of classical lamination, but for its edges."""
+    section = mbd.sections.strip(0.04, CARBON, mbd.deg([10, 60, 60, 10]), thickness=0.125e-3)
+    plate = mbd.Laminate(CARBON, mbd.deg([10, 60]), 0.125e-3, symmetric=True).expansion(1.0).strain.detach()
+    free = section.free_strain("temperature").detach()
+    assert_close(free[:2], plate[[0, 2]], rtol=1e-2, atol=0)
+    assert float(free[2:].abs().max()) < 1e-9
+
+
 @pytest.mark.thorough
 def test_a_warm_beam_between_walls_vibrates_more_slowly():
     """f^2 of a beam on two hinges is (1 - P / P_E) times that without load, of P = E A alpha T and Euler's load P_E."""

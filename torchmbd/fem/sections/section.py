@@ -197,9 +197,8 @@ class Section(nn.Module):
         return SectionStress((T @ strain @ load)[..., 0], (back @ stress @ load)[..., 0], g.points)
 
     def free_strain(self, change: str) -> Float[Tensor, "*lanes 6"]:
-        """Strains of the free section by a unit change."""
-        held = held_stress(self.problem, self.geometry, self._wall_stiffness, self._free_strains(change))
-        return -(self.compliance() @ self.geometry.resultant(held))[..., 0]
+        """Strains of the free section by a unit change: by Betti, <stress of unit forces, free strain>."""
+        return self.geometry.energy(self.unit_fields().stress, self._free_strains(change))[..., 0]
 
     def expansion(self, change: str) -> SectionExpansion:
         """Return strains and residual stresses of the free section by a unit change (`CHANGES` of elements/part.py).
@@ -209,10 +208,9 @@ class Section(nn.Module):
         """
         g = self.geometry
         held = held_stress(self.problem, g, self._wall_stiffness, self._free_strains(change))
-        forces = g.resultant(held)
-        stress = held - self.unit_fields().stress @ forces[..., None, None, :, :]
+        stress = held - self.unit_fields().stress @ g.resultant(held)[..., None, None, :, :]
         back = self._to_plies()[..., g.layer, None, :, :]
-        return SectionExpansion(-(self.compliance() @ forces)[..., 0], (back @ stress)[..., 0])
+        return SectionExpansion(self.free_strain(change), (back @ stress)[..., 0])
 
     def _free_strains(self, change: str) -> Float[Tensor, "*lanes m g 6 1"]:
         """Free strains of all points in wall axes; across the fiber they are equal in all directions."""
