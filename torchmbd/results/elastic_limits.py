@@ -36,7 +36,8 @@ The multipliers in p take longer than a motion. So the share is computed where t
 
     size = (sum m |r'' - g| + sum |p| of force elements) / (m om_1^2 length),   om_1, length: of the body
 
-is the largest that the body has had, and otherwise follows from the last one, as it is proportional to the loads.
+is the largest that the body has had, and otherwise follows from the last one, as it is proportional to the loads. A change of
+temperature counts by its forces on all nodes.
 Bodies whose frames have more than `_MOST_NODES` nodes are not looked at, nor are those of rods, springs and solids.
 Source of the spin: Kane, Ryan, Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guid. Control Dyn. 10
 (1987) 139-151.
@@ -57,9 +58,11 @@ from torchmbd.errors import LoadWarning, warn
 from torchmbd.fem.elements import GivenElements
 from torchmbd.math.pair import matvec_t, value
 from torchmbd.math.rotation import skew
+from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.modal_data import frame_nodes
 from torchmbd.multibody.forces.contact_law import ContactControl
+from torchmbd.multibody.forces.temperature import ExpansionVector
 from torchmbd.results.motion_data import has_failed
 from torchmbd.results.reaction import in_lanes, placement_at_times
 
@@ -266,12 +269,23 @@ def _largest_loads(motion: Trajectory, intervals: Sequence[int]) -> Tensor:
     if T.actions:
         wide, at = placement_at_times(motion)
         pulls = equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0]
-        vectors.append((pulls.unflatten(-1, shape), mass.new_ones(1, 1, 1)))
+        vectors.append((pulls.unflatten(-1, shape), _newtons(T)[:, None, None]))
     largest = {}
     for n in set(intervals):
         total = torch.stack([(weight * _lengths(_means(x, n, -1))).sum(0) for x, weight in vectors]).sum(0)
         largest[n] = (total.nan_to_num(0.0, 0.0, 0.0) * _known(motion)).amax(1)
     return torch.stack([largest[n] for n in intervals])
+
+
+def _newtons(T: Any) -> Tensor:
+    """Size of the loads of unit pulls on attached vectors [vectors]: of a change of temperature, the forces on all nodes."""
+    sizes = torch.ones(len(T.attached), dtype=torch.float64)
+    for i, x in enumerate(T.attached):
+        if isinstance(x, ExpansionVector):
+            sizes[i] = x.load_size()
+        elif isinstance(x.body, Ground) and not x.is_point and not bool(x.vector.any()):
+            sizes[i] = 0.0  # from which the work of the change is measured
+    return sizes
 
 
 def _at_all_times(motion: Trajectory, x: Any) -> Tensor:

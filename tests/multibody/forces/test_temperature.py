@@ -269,6 +269,18 @@ def test_a_warm_strip_between_walls_vibrates_as_a_beam(kind):
     assert expected == pytest.approx(0.757, abs=2e-3)
 
 
+@pytest.mark.thorough
+def test_the_pressure_of_a_warm_beam_between_walls_is_reported():
+    """The share of the load E A alpha T of the one at which the body buckles, held at its reference, pi^2 E I / (2 L)^2."""
+    change = 0.5 * math.pi**2 * I_Y / (0.5**2 * AREA * ALPHA)
+    body = bar(elements=8, modes=4, damping=1e-4)
+    hinges = [mbd.Revolute(GROUND.at(x, 0, 0), body.at(end), "y") for x, end in ((0.0, "start"), (0.5, "end"))]
+    system = mbd.System([body], hinges, [mbd.Temperature(body, change)], truncation=None)
+    with pytest.warns(mbd.errors.LoadWarning, match="tension and pressure of its loads are 2 of its stiffness"):
+        motion = mbd.simulate(system, 0.02, steps=10, backend="eager", start="equilibrium")
+    assert motion.stats["load_share"]["bar"] == pytest.approx(4.0 * 0.5, rel=1e-2)
+
+
 SIZES = (1e-4, 1e-7, 1e-3, 0.1)  # steps of differences, of the unknowns of the next test
 
 

@@ -59,6 +59,13 @@ class ExpansionVector(Attached):
         none = torch.zeros_like(work)
         return torch.stack([work, none, none], -3)
 
+    def load_size(self) -> float:
+        """Sum of the nodal forces of a unit change, and of the nodal moments by the length of the body [N], of the first lane."""
+        F = self.body.expansion.forces(self.zone, self.change).detach()
+        F = F.reshape(-1, *F.shape[-2:])[0]
+        length = float((self.body.mesh.nodes - self.body.origin).norm(dim=-1).max())
+        return float(F[:, :3].norm(dim=-1).sum() + F[:, 3:].norm(dim=-1).sum() / length)
+
 
 class Temperature(ForceElement):
     """`Temperature(body, 80.0)`: a change of the temperature [K] of a flexible body, from that at which it has no stress.
