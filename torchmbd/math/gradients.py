@@ -32,6 +32,7 @@ R = TypeVar("R")
 _FLOATS = (float, "float", "float | Tensor")
 _VARIABLE_KINDS = {
     "float | Tensor": "a number, or mbd.variable(...) of one",
+    "float | Tensor | None": "a number, mbd.variable(...) of one, or None",
     "Varying": "numbers, or a torch.nn.Parameter such as mbd.variable(...)",
     "Angles": "numbers, or a torch.nn.Parameter",
 }
@@ -100,8 +101,8 @@ def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
 def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
     """Decorator: InputError names a float argument that is no number, or an argument whose gradient would be lost.
 
-    An argument annotated `float | Tensor` may be a design variable (`is_variable`); one annotated `Varying` or `Angles` may be
-    a Parameter of any shape.
+    An argument annotated `float | Tensor`, also with None, may be a design variable (`is_variable`); one annotated `Varying` or
+    `Angles` may be a Parameter of any shape.
     """
     signature = inspect.signature(f)
     floats = {name for name, p in signature.parameters.items() if p.annotation in _FLOATS}

@@ -62,7 +62,7 @@ class PlyHistory:
         if not hasattr(motion, "body"):
             raise InputError("motion", motion, "a motion, the result of mbd.simulate(...)")
         view = motion.body(name)
-        self.name, self.w = name, view.w
+        self.name = name
         body = motion.system.body(name)
         require_plies(body)
         changes = changes_of(motion, body)
@@ -162,7 +162,8 @@ def require_plies(body: object) -> None:
 
 def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
     """The changes of temperature and moisture of a body; InputError where a phase of the motion has other laws for them."""
-    changes = [force for force in motion.system.forces if isinstance(force, Temperature) and force.body is body]
+    forces = [force for force in motion.system.forces if isinstance(force, Temperature)]
+    changes = [force for force in forces if force.body is body and force.laws]
     for actions in motion.actions:  # of each phase
         laws = {id(law) for action in actions for law in action.laws}
         for force in changes:

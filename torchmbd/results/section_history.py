@@ -76,7 +76,7 @@ class SectionHistory:
         if not hasattr(motion, "body"):
             raise InputError("motion", motion, "a motion, the result of mbd.simulate(...)")
         view = motion.body(name)
-        self.name, self.w = name, view.w
+        self.name = name
         self._body = motion.system.body(name)
         self._beams = beams_of(self._body)
         changes = changes_of(motion, self._body)
@@ -113,8 +113,11 @@ class SectionHistory:
         loads = torch.einsum("lesm,ltm->ltes", self._recovered[key].forces, self.w[:, times])
         return torch.einsum("lpcs,ltes->ltepc", self._recovered[key].unit, loads)
 
-    def basis(self, part: str | None = None) -> tuple[Float[Tensor, "lanes points 5 modes"], Tensor | None]:
-        """Ply stresses of the modes at all ends and points of a part [Pa], and strengths there [lanes, points, 8]."""
+    def basis(self, part: str | None = None) -> tuple[Float[Tensor, "lanes points 5 coordinates"], Tensor | None]:
+        """Ply stresses at all ends and points of a part [Pa], and strengths there [lanes, points, 8].
+
+        Coordinates are those of `w`: modes, and unit changes of temperature or moisture behind them.
+        """
         key = self._key(part)
         self._section(key)
         made = self._recovered[key]

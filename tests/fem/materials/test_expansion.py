@@ -159,7 +159,10 @@ def test_bad_input_is_refused():
     plain = mbd.Ply(E1, E2, G, G, 3.6e9, NU, 1586.0, alpha1=A1)
     stack = mbd.Laminate([CARBON, plain], [0.0, 0.0], 1e-3)
     for arguments, match in (
-        ({"temperature": 1.0}, r"temperature acts on layer 1 of the laminate, whose ply has no alpha2: must"),
+        (
+            {"temperature": 1.0},
+            r"temperature acts on layer 1 of the laminate, whose ply has no alpha2; allowed: a number",
+        ),
         ({"gradient": 1.0}, r"temperature acts on layer 1 .* no alpha2"),
         ({"moisture": 1.0}, r"moisture acts on layer 1 .* no beta1 and no beta2"),
         ({"temperature": float("nan")}, "temperature is nan; allowed: a finite number"),

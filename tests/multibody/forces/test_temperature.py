@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from typing import Any
 
@@ -13,7 +14,8 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
-from torchmbd.multibody.system.truncation import StaticTruncation
+from torchmbd.multibody.system.truncation import StaticTruncation, warn_static_truncation
+from torchmbd.results.ply_history import changes_of
 
 GROUND = mbd.Ground()
 CARBON = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=28e-6, beta1=0.0, beta2=0.4)
@@ -39,7 +41,7 @@ def skewed(laminate: mbd.Laminate, kind: str, **options: Any) -> mbd.FlexibleBod
     nodes = torch.stack([x + 0.1 * y + 0.4 * x * y, y + 0.3 * x * y, z], 1)
     cells: dict = {"triangles": flat.triangles} if kind == "triangle" else {"quads": flat.quads}
     mesh = mbd.mesh.Mesh(nodes, **cells)
-    return mbd.FlexibleBody.plate("panel", mesh, laminate, 2, reference=5, expansion=True, **options)
+    return mbd.FlexibleBody.plate("panel", mesh, laminate, 2, reference=5, **({"expansion": True} | options))
 
 
 def displacements(body: mbd.FlexibleBody, *forces: mbd.Temperature) -> Tensor:
@@ -281,6 +283,36 @@ def test_the_pressure_of_a_warm_beam_between_walls_is_reported():
     assert motion.stats["load_share"]["bar"] == pytest.approx(4.0 * 0.5, rel=1e-2)
 
 
+@pytest.mark.thorough
+def test_changes_may_share_a_variable():
+    """Their histories are those of two variables of the same value."""
+    plate = strip(mbd.Laminate(CARBON, mbd.deg([0, 90]), 0.125e-3))
+    stresses = []
+    for second in (None, mbd.variable(2.0)):
+        v: Any = mbd.variable(2.0)
+        w: Any = v if second is None else second
+        heat = mbd.Temperature(
+            plate, mbd.forces.Scaled(v, lambda t: 3.0 + t), mbd.forces.Scaled(w, lambda t: 100.0 - t), name="heat"
+        )
+        assert len(heat.law_variables.numbers) == (1 if second is None else 2)
+        stresses.append(mbd.PlyHistory(mbd.equilibrium(held(plate, heat)), "strip").stress().detach())
+    assert float(stresses[1].abs().max()) > 1e4
+    assert_close(stresses[0], stresses[1], rtol=1e-9, atol=1e-3)
+
+
+def test_the_coefficient_of_a_section_is_a_design_variable():
+    """The tip of a free bar, L alpha T, and its derivative L T."""
+    numbers = (0.3, 7850.0, AREA, I_Y, 16.0 * I_Y, 3.0 * I_Y)
+    body = bar(mbd.GivenSection.isotropic(E, *numbers, alpha=mbd.variable(ALPHA)))
+    system = held(body, mbd.Temperature(body, 30.0))
+    values = tensor(ALPHA, 0.0, 2.0 * ALPHA).requires_grad_()
+    options: dict = {"steps": 2, "backend": "eager", "start": "equilibrium", "designs": {"bar.section.alpha": values}}
+    tips = mbd.simulate(system, 1e-3, **options).require_ok().body("bar").at("end").position[:, -1, 0]
+    assert_close(tips.detach() - 0.5, 0.5 * 30.0 * values.detach(), rtol=1e-6, atol=1e-15)
+    (slope,) = torch.autograd.grad(tips[[0, 2]].sum(), values)
+    assert_close(slope, tensor(15.0, 0.0, 15.0), rtol=1e-6, atol=0)
+
+
 SIZES = (1e-4, 1e-7, 1e-3, 0.1)  # steps of differences, of the unknowns of the next test
 
 
@@ -355,6 +387,51 @@ def test_modes_without_the_shape_are_reported():
     assert abs(shares[1]) < 1e-9
 
 
+def test_a_body_is_checked_again_when_it_becomes_warm():
+    """It was simulated without heat before; the advice names the zone, beside the shapes that the body has."""
+    mesh = mbd.mesh.rectangle(0.2, 0.02, (4, 2))
+    upper = mesh.nodes[mesh.quads].mean(1)[:, 1] > 0.0
+    plates = {
+        name: mbd.fem.elements.Plates(mesh, mbd.Laminate(STEEL, [0.0], 1e-3), cells=torch.nonzero(x)[:, 0])
+        for name, x in (("upper", upper), ("lower", ~upper))
+    }
+    for expansion, advice in ((False, "expansion='upper'"), (True, "expansion=[True, 'upper']")):
+        body = mbd.FlexibleBody("panel", mesh, plates, 2, reference="left", expansion=expansion, position=(-0.1, 0, 0))
+        hold = mbd.Fixed(GROUND.at(-0.1, 0, 0), body.at("left"))
+        warn_static_truncation(mbd.System([body], [hold]))
+        warm = mbd.System([body], [hold], [mbd.Temperature(body, 5.0, zone="upper")])
+        with pytest.warns(UserWarning, match=re.escape(f"temperature of part 'upper'; better: {advice} of the body")):
+            warn_static_truncation(warm)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            warn_static_truncation(warm)
+    both = mbd.FlexibleBody("panel", mesh, plates, 2, reference="left", expansion=[True, "upper"])
+    assert both.expansion.loads == [(zone, x) for zone in (None, "upper") for x in ("temperature", "gradient")]
+
+
+def test_parts_that_do_not_expand_are_named():
+    mesh = mbd.mesh.rectangle(0.2, 0.02, (4, 2))
+    k = 1e6 * tensor(1.0, -1.0, -1.0, 1.0).reshape(1, 2, 2)
+    ends = torch.tensor([[6 * mesh.node("left"), 6 * mesh.node("right")]])
+    parts = {
+        "skin": mbd.fem.elements.Plates(mesh, mbd.Laminate(STEEL, [0.0], 1e-3)),
+        "rod": mbd.fem.elements.GivenElements(mesh, [ends], [k]),
+    }
+    body = mbd.FlexibleBody("panel", mesh, parts, 2, reference="left", expansion=True)
+    with pytest.warns(UserWarning, match="its parts 'rod' do not expand"):
+        mbd.Temperature(body, 50.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mbd.Temperature(body, 50.0, zone="skin")
+
+
+def test_a_temperature_without_a_change_does_nothing():
+    body = strip(mbd.Laminate(STEEL, [0.0], 1e-3))
+    result = mbd.equilibrium(held(body, mbd.Temperature(body)))
+    assert changes_of(result, body) == []
+    assert float(mbd.PlyHistory(result, "strip").stress().detach().abs().max()) == 0.0
+
+
 def test_shapes_that_modes_or_others_have_are_not_added_twice():
     """Moisture of a metal expands it as temperature does: one shape."""
     metal = mbd.Ply.isotropic(70e9, 0.3, 2700.0, alpha=23e-6, beta=0.1)
@@ -400,9 +477,24 @@ def test_bad_changes_are_named():
     body = skewed(mbd.Laminate(CARBON, [0.0], 1e-3), "quad")
     cold = mbd.FlexibleBody.plate("cold", body.mesh, mbd.Laminate([CARBON, bare], [0.0, 0.3], 1e-3), 2)
     steel = mbd.GivenSection.isotropic(E, 0.3, 7850.0, AREA, I_Y, I_Y, 2.0 * I_Y)
+    line = mbd.BeamLine.straight(0.5, 2)
+    cured = mbd.FlexibleBody.beam(
+        "cured", line, mbd.sections.rectangle(*SIDE, bare, cells=(2, 2)), 1, reference="start"
+    )
+    exact = mbd.FlexibleBeam("hose", line, steel)
     box = mbd.RigidBody("box", 1.0, (1.0, 1.0, 1.0))
     for make, words in (
-        (lambda: mbd.Temperature(box, 1.0), ["Temperature acts on", "a flexible body of plates or beams"]),
+        (
+            lambda: mbd.Temperature(box, 1.0),
+            ["body of Temperature is 'box'; allowed: a flexible body of plates or beams"],
+        ),
+        (lambda: mbd.Temperature("p", 1.0), ["body of Temperature is 'p'; allowed: a flexible body"]),
+        (lambda: mbd.Temperature(exact, 1.0), ["body of Temperature is 'hose'", "not an exact beam"]),
+        (lambda: mbd.Temperature(body, 1.0, zone=3), ["zone of 'panel' 3", "plate"]),  # pyright: ignore
+        (lambda: mbd.Temperature(body, 1.0, zone=["plate"]), ["zone of 'panel' ['plate']"]),  # pyright: ignore
+        (lambda: skewed(body.plates["plate"].laminate, "quad", expansion=["plate", "plate"]), ["each once"]),
+        (lambda: skewed(body.plates["plate"].laminate, "quad", expansion=[None]), ["expansion of 'panel'"]),
+        (lambda: mbd.Temperature(cured, 1.0), ["layer 0 of the section", "no alpha1 and no alpha2"]),
         (lambda: mbd.Temperature(body, float("nan")), ["temperature of 'temperature_panel'", "finite"]),
         (lambda: mbd.Temperature(body, lambda t: t / 0.0 * 0.0), ["temperature_panel", "finite"]),
         (lambda: mbd.Temperature(body, "hot"), ["temperature of 'temperature_panel'", "hot"]),  # pyright: ignore
@@ -412,7 +504,7 @@ def test_bad_changes_are_named():
         (lambda: mbd.Temperature(bar(), moisture=0.1), ["part 'section0' of body 'bar'", "moisture"]),
         (lambda: bar(steel), ["expansion of 'bar'", "section0", "alpha"]),
         (lambda: bar(expansion=["section7"]), ["zone of 'bar'", "section7"]),
-        (lambda: bar(expansion=3), ["expansion of 'bar'", "True, False, or names of parts"]),
+        (lambda: bar(expansion=3), ["expansion of 'bar'", "True, False, or names of parts", "each once"]),
         (
             lambda: mbd.GivenSection.isotropic(E, 0.3, 7850.0, AREA, I_Y, I_Y, 2.0 * I_Y, alpha=float("inf")),
             ["alpha", "inf", "finite"],
@@ -420,6 +512,7 @@ def test_bad_changes_are_named():
     ):
         with pytest.raises(mbd.InputError) as error:
             make()
+        assert error.value.path, str(error.value)
         for word in words:
             assert word in str(error.value), str(error.value)
 

@@ -243,8 +243,12 @@ def _isotropic_strain(alpha: Any, change: str) -> Float[Tensor, "*lanes 6"]:
     if alpha is None or change not in _BY_TEMPERATURE:
         missing = "alpha" if change in _BY_TEMPERATURE else "coefficient of moisture expansion"
         raise InputError(
-            f"{change} acts on a section of given numbers without {missing}: must have it. "
-            "Try: mbd.GivenSection.isotropic(..., alpha=...), or a Section of plies"
+            missing,
+            None,
+            "a number",
+            hint="mbd.GivenSection.isotropic(..., alpha=...), or a Section of plies",
+            noun=f"{change} acts on a section of given numbers, which",
+            state=f"has no {missing}",
         )
     place, sign = _BY_TEMPERATURE[change]
     unit = torch.zeros(6, dtype=torch.float64)

@@ -136,8 +136,9 @@ class Beams:
 
     def _held(self, change: str) -> Float[Tensor, "*lanes m 6"]:
         if not isinstance(self.section, ExpandingSection):
+            allowed = "one that has free_strain(change), as a Section of plies"
             raise InputError(
-                f"section {self.section!r} does not expand: must have free_strain(change), as a Section of plies"
+                "section", self.section, allowed, noun=f"section {self.section!r}", state="does not expand"
             )
         strain = self.section.free_strain(change)[..., None, None, :, None]
         return self._present.held_forces(self._stiffness(), (torch.linalg.inv(self._to_line).mT @ strain)[..., 0])

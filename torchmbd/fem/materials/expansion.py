@@ -93,7 +93,7 @@ def _column(change: Any) -> Tensor:
     return torch.as_tensor(change, dtype=torch.float64)[..., None, None]
 
 
-def coefficients(plies: Sequence[Any], change: str) -> Float[Tensor, "*lanes layers 3"]:
+def coefficients(plies: Sequence[Any], change: str, owner: str = "laminate") -> Float[Tensor, "*lanes layers 3"]:
     """Return the coefficients 11, 22, 12 of all layers for "temperature" or "moisture"; InputError that names a ply without."""
     rows = []
     for k, ply in enumerate(plies):
@@ -101,8 +101,12 @@ def coefficients(plies: Sequence[Any], change: str) -> Float[Tensor, "*lanes lay
         missing = [name for name, x in zip(_COEFFICIENTS[change], values, strict=True) if x is None]
         if missing:
             raise InputError(
-                f"{change} acts on layer {k} of the laminate, whose ply has no {' and no '.join(missing)}: must have it. "
-                f"Try: mbd.Ply(..., {', '.join(f'{name}=...' for name in _COEFFICIENTS[change])})"
+                missing[0],
+                None,
+                "a number",
+                hint=f"mbd.Ply(..., {', '.join(f'{name}=...' for name in _COEFFICIENTS[change])})",
+                noun=f"{change} acts on layer {k} of the {owner}, whose ply",
+                state=f"has no {' and no '.join(missing)}",
             )
         rows.append(stacked([*values, 0.0]))
     lanes = torch.broadcast_tensors(*rows)

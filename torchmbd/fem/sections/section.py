@@ -215,7 +215,7 @@ class Section(nn.Module):
     def _free_strains(self, change: str) -> Float[Tensor, "*lanes m g 6 1"]:
         """Free strains of all points in wall axes; across the fiber they are equal in all directions."""
         kind = "moisture" if change == "moisture" else "temperature"
-        along, across, _ = coefficients(self._plies.current(self), kind).unbind(-1)
+        along, across, _ = coefficients(self._plies.current(self), kind, "section").unbind(-1)
         none = torch.zeros_like(along)
         plies = torch.stack([along, across, across, none, none, none], -1)[..., None]
         walls = (strain_rotation(-self.angles) @ plies)[..., self.geometry.layer, None, :, :]

@@ -21,13 +21,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, one_of
+from torchmbd.errors import InputError, one_of, warn
 from torchmbd.fem.elements import Assembly, ExpandingPart, Part
 from torchmbd.fem.elements.geometric import StressedCells, projected_geometric_stiffness
 from torchmbd.fem.reduction import StaticLoads, StaticShapes
 from torchmbd.math.module_call import outside_transforms
 
 Load = tuple[str | None, str]  # zone, None for the whole body, and kind of change
+Zones = bool | str | Sequence[str | bool]
+
+
+def zone_list(zones: Zones) -> list[str | bool]:
+    """The argument `expansion` of a body as a list, in which True is the whole body."""
+    return [zones] * bool(zones) if isinstance(zones, (bool, str)) else [*zones]
 
 
 class Expansion:
@@ -46,8 +52,22 @@ class Expansion:
         }
         if not members:
             where = f"body {self.name!r}" if zone is None else f"zone {zone!r} of body {self.name!r}"
-            raise InputError(f"{where} has no parts that expand: must have plates or beams")
+            state = "has no parts that expand"
+            raise InputError((self.name, "zone"), zone, "one with plates or beams", noun=where, state=state)
         return members
+
+    def warn_of_other_parts(self, zone: str | None) -> None:
+        """Warn of parts that have stiffness and do not expand with the whole body."""
+        members = self.expanding(zone)
+        still = (
+            [key for key, part in self.parts.items() if key not in members and part.pattern.nnz] if zone is None else []
+        )
+        if still:
+            names = ", ".join(map(repr, still))
+            warn(
+                f"body {self.name!r} changes its temperature or moisture, but its parts {names} do not expand: only plates and "
+                "beams do"
+            )
 
     def changes(self, zone: str | None) -> tuple[str, ...]:
         """Kinds of change that a part of the zone knows."""
@@ -62,7 +82,8 @@ class Expansion:
             try:
                 forces = part.expansion_forces(change)
             except InputError as error:
-                raise InputError(f"part {key!r} of body {self.name!r}: {error}") from None
+                noun, path = f"part {key!r} of body {self.name!r}:", (self.name, key, *error.path)
+                raise InputError(path, error.value, rule=str(error), noun=noun, shown="") from None
             total = forces if total is None else total + forces
         if total is None:
             raise InputError(
@@ -94,14 +115,13 @@ class Expansion:
         lanes = torch.broadcast_shapes(*(x.shape for x in columns))
         return self.assembly.freedoms.gathered(torch.cat([x.expand(lanes) for x in columns], -1))
 
-    def shapes(self, zones: bool | str | Sequence[str]) -> StaticShapes | None:
+    def shapes(self, zones: Zones) -> StaticShapes | None:
         """The static shapes of zones: True: the whole body as one; False: none. Changes without coefficients have none."""
-        allowed = "True, False, or names of parts of the body"
-        if not isinstance(zones, (bool, str, list, tuple)):
+        given = zone_list(zones) if isinstance(zones, (bool, str, list, tuple)) else [False]
+        if any(x is False or not isinstance(x, (bool, str)) or given.count(x) > 1 for x in given):
+            allowed = "True, False, or names of parts of the body, each once; True among them is the whole body"
             raise InputError((self.name, "expansion"), zones, allowed, noun=f"expansion of {self.name!r}")
-        chosen: list[str | None] = (
-            [None] * zones if isinstance(zones, bool) else [zones] if isinstance(zones, str) else [*zones]
-        )
+        chosen = [x if isinstance(x, str) else None for x in given]
         if not chosen:
             return None
         self.loads, refused = [], []
@@ -114,5 +134,6 @@ class Expansion:
                 else:
                     self.loads.append((zone, change))
         if not self.loads:
-            raise InputError(f"expansion of {self.name!r}: {refused[0]}")
+            noun = f"expansion of {self.name!r}:"
+            raise InputError((self.name, "expansion"), zones, rule=str(refused[0]), noun=noun, shown="")
         return StaticShapes(self.assembly.pattern, self.free_forces, len(self.loads))

@@ -110,7 +110,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         links: Sequence[Follower] = (),
         rigid: Sequence[str | Sequence[int]] = (),
         stiffening: bool = False,
-        expansion: bool | str | Sequence[str] = False,
+        expansion: bool | str | Sequence[str | bool] = False,
     ):
         super().__init__()
         self.name = identifier("flexible body", name)
@@ -229,7 +229,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass: str = "lumped",
         rigid: Sequence[str | Sequence[int]] = (),
         stiffening: bool = False,
-        expansion: bool | str | Sequence[str] = False,
+        expansion: bool | str | Sequence[str | bool] = False,
         direction: Sequence[float] | Tensor | MaterialAxes | Mapping[str, Any] = (1.0, 0.0, 0.0),
     ) -> FlexibleBody:
         """A laminated plate or shell.
@@ -251,7 +251,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         rigid           node sets that move as one rigid body each
         stiffening      True: displacements of second order, so that spin and forces of joints stiffen it (stiffening.py)
         expansion       True: static shapes of changes of temperature and moisture beside the modes, for mbd.Temperature; names
-                        of parts: the shapes of each part that changes alone (expansion.py)
+                        of parts: the shapes of each part that changes alone, [True, "skin"] of both (expansion.py)
         direction       the laminate's x-axis in mesh axes, projected into each cell: [3], one for each [m, 3], or a rule for
                         curved shells: mbd.mesh.around, mbd.mesh.along, mbd.mesh.in_system, or {"around": {"axis": [0, 0, 1]}}
         """
@@ -280,7 +280,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         twist: float | Sequence | Tensor = 0.0,
         mass: str = "lumped",
         stiffening: bool = False,
-        expansion: bool | str | Sequence[str] = False,
+        expansion: bool | str | Sequence[str | bool] = False,
     ) -> FlexibleBody:
         """A beam of straight elements or arcs; it may have branches.
 

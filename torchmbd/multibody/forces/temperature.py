@@ -60,7 +60,7 @@ class ExpansionVector(Attached):
         return torch.stack([work, none, none], -3)
 
     def load_size(self) -> float:
-        """Sum of the nodal forces of a unit change, and of the nodal moments by the length of the body [N], of the first lane."""
+        """Sum of all nodal forces of a unit change, and of all moments by the length of the body, of the first lane [N]."""
         F = self.body.expansion.forces(self.zone, self.change).detach()
         F = F.reshape(-1, *F.shape[-2:])[0]
         length = float((self.body.mesh.nodes - self.body.origin).norm(dim=-1).max())
@@ -102,14 +102,16 @@ class Temperature(ForceElement):
         name: str | None = None,
     ):
         if getattr(body, "expansion", None) is None:
-            raise InputError(f"Temperature acts on {body!r}: must be a flexible body of plates or beams")
+            shown = repr(getattr(body, "name", body))
+            allowed = "a flexible body of plates or beams, not an exact beam"
+            raise InputError("body", body, allowed, noun="body of Temperature", shown=shown)
+        known = body.expansion.changes(zone)
         super().__init__(
             (body.at(body.reference[0]),), name or "_".join(["temperature", body.name, *([zone] if zone else [])])
         )
         self.body, self.zone = body, zone
         given = {"temperature": temperature, "gradient": gradient, "gradient_y": gradient_y, "moisture": moisture}
         self.changes = {key: x for key, x in given.items() if isinstance(x, Tensor) or callable(x) or x != 0.0}
-        known = body.expansion.changes(zone)
         for change in self.changes:
             if change not in known:
                 raise InputError(
@@ -117,6 +119,7 @@ class Temperature(ForceElement):
                 )
             with torch.no_grad():
                 body.expansion.forces(zone, change)  # the plies have the coefficients
+        body.expansion.warn_of_other_parts(zone)
         self.laws = {change: check_law(self.name, self._law(change, x)) for change, x in self.changes.items()}
 
     def _law(self, change: str, x: Change) -> Any:
@@ -127,10 +130,11 @@ class Temperature(ForceElement):
     def histories(self, times: Tensor) -> dict[str, Tensor]:
         """Each change at times [t] in the present design [*lanes, t]."""
         zero, histories = torch.zeros(1, 1, len(times), dtype=torch.float64), {}
-        variables = self.law_variables.numbers
+        variables = [*self.law_variables.numbers.values()]  # in the order of the rows: changes may share one
         for change, law in self.laws.items():
             if isinstance(law, ParametricLaw):
-                histories[change] = variables[change][..., None] * law.law.law(zero, zero, times)[0, 0]
+                ((_, row),) = law.rows
+                histories[change] = variables[row][..., None] * law.law.law(zero, zero, times)[0, 0]
             else:
                 histories[change] = law(zero, zero, times)[0, 0]
         return histories

@@ -21,7 +21,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakSet
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -29,6 +29,7 @@ from torch import Tensor
 from torchmbd.errors import MbdError, warn
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.module_call import outside_transforms
+from torchmbd.multibody.bodies.expansion import zone_list
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations
@@ -37,8 +38,8 @@ from torchmbd.multibody.joints.joint import Attached
 
 _NEAR = 2.0  # times the first elastic frequency: the highest frequency of a vibration that is compared
 LARGEST = 300  # most rates of a system whose vibrations are compared, as the methods are dense
-# Bodies that were checked; not in a System, whose attributes are hashed (math/digest.py).
-_CHECKED: WeakSet[Any] = WeakSet()
+#: Body -> its changes (zone, kind) that were checked; not in a System, whose attributes are hashed (math/digest.py).
+_CHECKED: WeakKeyDictionary[Any, set[tuple]] = WeakKeyDictionary()
 _REGULAR = 1e-12  # share of the largest flexibility in the joints that is added, so that redundant rows are determined
 _SHOWN = 4  # nodes in a message
 _ELASTIC = 0.2  # least share of the energy of a vibration in the modal coordinates that makes it elastic
@@ -115,11 +116,16 @@ def static_truncation(system: Any) -> StaticTruncation | None:
 
 
 def warn_static_truncation(system: Any) -> None:
-    """Warn where the share exceeds `system.truncation`; each body is checked once."""
-    bodies = [system.body(name) for name in system.topology.names[: system.topology.flexible]]
-    if system.truncation is None or all(body in _CHECKED for body in bodies):
+    """Warn where the share exceeds `system.truncation`; each body is checked once, and once more under further changes."""
+    T = system.topology
+    changes: dict[Any, set[tuple]] = {system.body(name): set() for name in T.names[: T.flexible]}
+    for x in T.attached:
+        if isinstance(x, ExpansionVector):
+            changes[x.body].add((x.zone, x.change))
+    if system.truncation is None or all(body in _CHECKED and x <= _CHECKED[body] for body, x in changes.items()):
         return
-    _CHECKED.update(bodies)
+    for body, x in changes.items():
+        _CHECKED.setdefault(body, set()).update(x)
     try:
         truncation = outside_transforms(lambda: static_truncation(system))
     except (MbdError, RuntimeError):  # the designs to be simulated need not have the errors of the present one
@@ -164,7 +170,9 @@ def _of_changes(system: Any, dynamics: Any, stages: dict[str, Tensor], i: int) -
     if not G > 0.0:
         return None
     of = f" of part {vector.zone!r}" if vector.zone else ""
-    return StaticTruncation(R / G, None, body.name, f"{vector.change}{of}", "expansion=True of the body", "a change of")
+    zones = list(dict.fromkeys([*zone_list(body.expansion_zones), vector.zone or True]))
+    advice = f"expansion={(zones[0] if len(zones) == 1 else zones)!r} of the body"
+    return StaticTruncation(R / G, None, body.name, f"{vector.change}{of}", advice, "a change of")
 
 
 def _unit_loads(x: Tensor, mounts: Sequence[InterpolationConstraint], expand: Any, size: int) -> Tensor:
