@@ -21,8 +21,12 @@ from torchmbd.fem.mesh import Mesh
 from torchmbd.math.gradients import constant_arguments
 from torchmbd.math.sparse import Pattern
 
-#: Kinds of change -> unit: of the temperature where the nodes are, per meter along the normal of a plate or the z-axis of a
-#: section, per meter along the y-axis of a section; of the moisture, a share of the mass.
+#: Kind of change -> its unit.
+#:
+#:     temperature   change of the temperature at the nodes
+#:     gradient      change of the temperature per meter, along the normal of a plate or the z-axis of a section
+#:     gradient_y    change of the temperature per meter, along the y-axis of a section
+#:     moisture      change of the moisture, a share of the mass
 CHANGES = {"temperature": "K", "gradient": "K/m", "gradient_y": "K/m", "moisture": "-"}
 
 

@@ -297,9 +297,8 @@ class PlateMatrices:
 
 def _membrane_and_bending(strains: Strains) -> Float[Tensor, "m 6 f"]:
     """Integrals of the membrane strains and curvatures of every cell, as rows on its freedoms."""
-    points = (
-        strains.weight.shape[1] if strains.forces is None else 4
-    )  # further points have strains of drilling freedoms
+    # Points after the fourth have strains of drilling freedoms.
+    points = strains.weight.shape[1] if strains.forces is None else 4
     return (strains.at[:, :points, :6] * strains.weight[:, :points, None, None]).sum(1)
 
 

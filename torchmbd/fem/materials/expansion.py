@@ -141,7 +141,11 @@ def free_expansion(
     faces: Float[Tensor, "*lanes layers 2"],
     ABD: tuple[Tensor, Tensor, Tensor],
 ) -> Expansion:
-    """Return the expansion of a laminate out of what would cause its free strains; ABD: plate stiffness [..., 3, 3]."""
+    """Return the strains and residual stresses of a free laminate.
+
+    held   loads and stresses that would cause the free strains of its layers
+    ABD    plate stiffness A, B, D, each [..., 3, 3]
+    """
     force, moment, stress = held
     A, B, D = ABD
     matrix = torch.cat([torch.cat([A, B], -1), torch.cat([B, D], -1)], -2)

@@ -5,9 +5,11 @@
 
 E, N, M   strains of a cell; forces and moments of the free strains of its laminate (fem/materials/expansion.py)
 
-A zone is the whole body or one of its parts. Few vibration modes have the stretching of a body that becomes warmer, so a body
-with `expansion` retains U = K^-1 F of each change as well (fem/reduction/static_shapes.py): then the deformation of the held or
-the free body under a steady change is exact for its mesh.
+A zone is the whole body or one of its parts. Few vibration modes have the stretching of a body that becomes warmer, so a
+body with `expansion` retains U = K^-1 F of each change as well (fem/reduction/static_shapes.py). Then the deformation under
+a steady change is exact for the mesh of a body that is held at its reference alone. A reference of several nodes is a
+clamp, so a body that is free to expand has one node as reference. A body that joints hold elsewhere needs these nodes as
+interface of the reduction "craig-bampton".
 Differentiable, forward and reverse, in everything that the laminates depend on, with lanes.
 Checked in tests/multibody/forces/test_temperature.py.
 """
@@ -117,7 +119,7 @@ class Expansion:
 
     def shapes(self, zones: Zones) -> StaticShapes | None:
         """The static shapes of zones: True: the whole body as one; False: none. Changes without coefficients have none."""
-        given = zone_list(zones) if isinstance(zones, (bool, str, list, tuple)) else [False]
+        given: list[str | bool] = zone_list(zones) if isinstance(zones, (bool, str, list, tuple)) else [False]
         if any(x is False or not isinstance(x, (bool, str)) or given.count(x) > 1 for x in given):
             allowed = "True, False, or names of parts of the body, each once; True among them is the whole body"
             raise InputError((self.name, "expansion"), zones, allowed, noun=f"expansion of {self.name!r}")

@@ -8,7 +8,7 @@ compiled code and has derivatives by the design as every force has.
 The stress of a ply is that of the strain less its free strain (results/ply_history.py).
 In a body with stiffening the stress of the change, that of K^-1 F less that of the free strain, acts on the displacements of
 second order: a body that is held at both ends vibrates more slowly when it is warm.
-Assumed: moduli and coefficients do not depend on temperature or moisture; the change is constant in each zone, and linear
+Assumed: moduli, coefficients and mass do not depend on temperature or moisture; the change is constant in each zone, and linear
 through the thickness.
 Source: as of fem/materials/expansion.py; T. J. R. Hughes, The Finite Element Method (1987), initial strains.
 Checked in tests/multibody/forces/test_temperature.py.
@@ -84,7 +84,7 @@ class Temperature(ForceElement):
     >>> ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=28e-6)
     >>> laminate = mbd.Laminate(ply, mbd.deg([0, 90]), thickness=0.125e-3)
     >>> mesh = mbd.mesh.rectangle(0.2, 0.02, (8, 2))
-    >>> strip = mbd.FlexibleBody.plate("strip", mesh, laminate, 2, reference="left_edge", expansion=True)
+    >>> strip = mbd.FlexibleBody.plate("strip", mesh, laminate, 2, reference="left", expansion=True)
     >>> hold = mbd.Fixed(mbd.Ground().at(-0.1, 0, 0), strip.at("left"))
     >>> cooled = mbd.equilibrium(mbd.System([strip], [hold], [mbd.Temperature(strip, -1.0)]))
     >>> bool(cooled.body("strip").at("right").position[..., 2] > 0)  # the strip curls

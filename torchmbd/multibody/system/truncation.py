@@ -52,10 +52,10 @@ class StaticTruncation:
     """The largest effect of static truncation in one system.
 
     share         of the stiffness of a vibration that is too much, or of the deflection under a force that is missing, 0 to 1
-    frequencies   of the vibration without and with the residual flexibility [Hz]; None: the share is that of a force
+    frequencies   of the vibration without and with the residual flexibility [Hz]; None: the share is that of a deflection
     body, where   the body with the largest part of the residual flexibility, and its frame
     advice        a setting without this truncation
-    load          what acts, if it is no vibration
+    load          the load, of a deflection: a force, or a change of temperature or moisture
     """
 
     share: float
