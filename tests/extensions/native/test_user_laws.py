@@ -113,3 +113,23 @@ def test_a_law_that_leaves_torch_is_refused_by_name(law):
     block = mbd.RigidBody("block", 1.0, (0.01,) * 3)
     with pytest.raises(InputError, match=r"law of 'spring' .*; allowed: a torch function of"):
         mbd.SpringDamper(mbd.Ground().at(), block.at(0.1, 0, 0), law=law, name="spring")
+
+
+@pytest.mark.parametrize("transform", ["jvp", "grad", "vmap"])
+def test_transforms_of_torch_leave_laws_as_they_are(transform):
+    """A simulation inside of torch.func traces its laws there."""
+    law = lambda s, rate, t: torch.sin(30.0 * t) * s + 0.1 * rate  # noqa: E731
+    traced = []
+
+    def inside(x: Tensor) -> Tensor:
+        traced.append(trace_law(law))
+        return x * x
+
+    x = torch.tensor(0.3, dtype=torch.float64)
+    if transform == "jvp":
+        torch.func.jvp(inside, (x,), (x,))
+    elif transform == "grad":
+        torch.func.grad(inside)(x)
+    else:
+        torch.vmap(inside)(x.expand(2))
+    assert traced == [trace_law(law)]

@@ -21,6 +21,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.extensions.native.codegen.scalar_derivatives import derivative
 from torchmbd.extensions.native.codegen.scalars import Tape, Untraceable
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.forces.action import law_slopes
 from torchmbd.multibody.forces.feedback import Control, Port
 from torchmbd.multibody.forces.laws import Scaled, data_fields
@@ -133,13 +134,17 @@ def trace_law(law: Any) -> TracedLaw:
 
     tape = Tape()
     shapes = {"s": (1, 1, 1), "rate": (1, 1, 1), "t": ()}
-    try:
+
+    def trace() -> tuple[TracedLaw, bool]:
         traced = tape.trace(outputs_of, *(tape.inputs(name, *shapes[name]) for name in _INPUTS))
         outputs = [int(x.ravel()[0]) for x in traced]
         if slopes is None:
             outputs += [derivative(tape, outputs[0], tape.inputs(name, 1)[0]) for name in ("s", "rate")]
         result = _numbered(tape, outputs, float(getattr(law, "center", 0.0)))
-        same = _same(outputs_of, result)
+        return result, _same(outputs_of, result)
+
+    try:
+        result, same = outside_transforms(trace)  # of torch.func, which would wrap the random numbers of the comparison
     except Exception as error:  # a law may do anything
         raise Untraceable(str(error).partition("\n")[0] or repr(error)) from error
     if not same:
