@@ -12,6 +12,7 @@ import torch
 import torchmbd as mbd
 from tests.refused import refused
 from torchmbd.design.flexible_bodies import flexible_bodies
+from torchmbd.errors import InputError
 from torchmbd.optimization.multistart import MultistartResult
 
 

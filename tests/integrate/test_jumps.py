@@ -324,7 +324,7 @@ def _line(law) -> str:
 
 def wrong_later(t: Tensor) -> Tensor:
     if float(t) > 1.5:
-        return t + undefined  # pyright: ignore[reportUndefinedVariable]
+        return t + undefined  # pyright: ignore[reportUndefinedVariable]  # noqa: F821
     return torch.sin(t)
 
 

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 
 import torchmbd as mbd
 from tests.refused import refused
+from torchmbd.errors import InputError
 from torchmbd.optimization.optimizer import Iterate
 from torchmbd.viz.panels import histories_of
 
