@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.optimization.analytic import Analytic
-from torchmbd.optimization import optimize
+from torchmbd.optimization import Evaluation, optimize
 from torchmbd.optimization.curvature import reduced_hessian, tangent_basis
 from torchmbd.optimization.kkt import KuhnTucker
 from torchmbd.optimization.search import Search
@@ -14,18 +14,32 @@ def search_on(problem: Analytic) -> Search:
     return Search(problem.evaluate, problem.start, problem.lower, problem.upper)
 
 
-def quality(multipliers, bounds) -> KuhnTucker:
-    return KuhnTucker(np.array(multipliers, dtype=float), np.array(bounds, dtype=float), 0.0)
+def basis(gradients, multipliers, bounds, equality=None) -> np.ndarray:
+    gradients = np.array(gradients, dtype=float).reshape(-1, len(bounds))
+    evaluation = Evaluation(0.0, np.zeros(len(gradients)), np.zeros(len(bounds)), gradients)
+    quality = KuhnTucker(np.array(multipliers, dtype=float), np.array(bounds, dtype=float), 0.0)
+    return tangent_basis(
+        evaluation, quality, 1e-3, np.zeros(len(gradients), bool) if equality is None else np.array(equality)
+    )
 
 
 def test_ways_are_along_what_has_a_multiplier():
     H = np.diag([-1.0, 2.0, -3.0])
-    Z = tangent_basis(np.zeros((0, 3)), quality([], [0, 0, 0]), 1e-3)
-    assert Z.shape == (3, 3)
+    assert basis([], [], [0, 0, 0]).shape == (3, 3)
     # pressed against the bound of x3, along the constraint x1 = x2: the curvature is (-1 + 2)/2
-    Z = tangent_basis(np.array([[1.0, -1.0, 0.0]]), quality([0.1], [0, 0, 0.5]), 1e-3)
+    Z = basis([1.0, -1.0, 0.0], [0.1], [0, 0, 0.5])
     assert pytest.approx(0.5) == Z.T @ H @ Z
-    assert tangent_basis(np.eye(3), quality([1, 1, 1], [0, 0, 0]), 1e-3).shape == (3, 0)
+    assert basis(np.eye(3), [1, 1, 1], [0, 0, 0]).shape == (3, 0)
+
+
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
+def test_ways_do_not_depend_on_the_unit_of_a_constraint(unit):
+    assert basis([[unit, 0.0]], [0.2 / unit], [0, 0]).shape == (2, 1)
+    assert basis([[unit, 0.0]], [2e-4 / unit], [0, 0]).shape == (2, 2)
+
+
+def test_ways_are_along_equalities():
+    assert basis([[1.0, 0.0]], [0.0], [0, 0], [True]).shape == (2, 1)
 
 
 def test_curvature_along_ways_takes_a_design_for_each():
@@ -102,10 +116,64 @@ def test_a_search_goes_on_from_a_saddle_where_its_start_is_none():
     assert result.value == pytest.approx(1.0, abs=1e-4)
 
 
-def test_many_directions_are_not_measured():
+PACKAGES = ["slsqp", "trust-constr", "mma", "lbfgs"]
+
+
+@pytest.mark.parametrize("method", PACKAGES)
+def test_a_start_that_is_a_saddle(method):
+    """The design beside the start that is tried first goes up."""
+    f = lambda x: 10 * x[0] ** 2 - x[1] ** 2 + 0.1 * x[1] ** 4 + 5  # noqa: E731
+    result = optimize(Analytic("saddle", [0.0, 0.0], f, lower=-3, upper=3), method)
+    assert result.status == "converged"
+    assert result.value == pytest.approx(2.5, abs=1e-5)
+
+
+@pytest.mark.parametrize("method", ["slsqp", "mma"])
+def test_several_plies_across(method):
+    """Six angles at maxima of different heights: none is left there."""
+    f = lambda x: 40 + sum((6 - k) * np.cos(2 * x[k]) for k in range(6)) + x[6] ** 2  # noqa: E731
+    result = optimize(Analytic("plies", [0.0] * 6 + [1.0], f, lower=-1.4, upper=1.4), method)
+    assert result.status == "converged"
+    assert result.value == pytest.approx(40 + 21 * np.cos(2.8), rel=1e-5)
+
+
+def test_a_saddle_between_equal_sides_is_left_once():
+    """Nothing better lies on the line of an equality: the search does not try the same way again."""
+    f = lambda x: x[1] ** 2 - (x[0] - 1) ** 2 + 2  # noqa: E731
+    problem = Analytic("line", [1.5, 0.7], f, lambda x: [x[0] - 1.0], lower=-3, upper=3)
+    problem.equalities = [0]
+    result = optimize(problem, "slsqp")
+    assert result.status == "converged"
+    assert result.value == pytest.approx(2.0, abs=1e-6)
+    assert len({iterate.x.tobytes() for iterate in result.history}) == len(result.history)
+
+
+@pytest.mark.parametrize("method", PACKAGES[:3])
+def test_a_corner_of_a_steep_constraint_stays(method):
+    """Along x1 the objective falls, and curves down, but a constraint with a small multiplier and a large slope ends it."""
+    f = lambda x: x[1] ** 2 - x[0] ** 2 - 1e-9 * x[0] + 3  # noqa: E731
+    c = lambda x: [1e4 * (x[0] - 1), -x[0] - 0.5]  # noqa: E731
+    problem = Analytic("corner", [0.5, 0.7], f, c, lower=-3, upper=3)
+    result = optimize(problem, method)
+    assert result.status == "converged"
+    assert result.value == pytest.approx(2.0, abs=1e-5)
+    assert "saddle" not in result.message
+
+
+def test_a_curvature_that_is_not_measured_is_told():
     problem = Analytic("bowl", [1.0] * 25, lambda x: (x**2).sum() + 1, lower=-3, upper=3)
-    assert optimize(problem, "slsqp").status == "converged"
+    result = optimize(problem, "slsqp")
+    assert result.status == "converged"
     assert max(count for count, _ in problem.batches) == 1
+    assert "25 free directions" in result.message
+
+
+def test_a_limit_inside_the_measurement_does_not_undo_the_end():
+    f = lambda x: ((x - 0.3) ** 2).sum() + 1  # noqa: E731
+    whole = optimize(Analytic("bowl", [1.0, 2.0], f, lower=-3, upper=3), "slsqp")
+    cut = optimize(Analytic("bowl", [1.0, 2.0], f, lower=-3, upper=3), "slsqp", max_analyses=whole.analyses - 1)
+    assert cut.status == "converged"
+    assert "before the curvature was measured" in cut.message
 
 
 def test_a_minimum_stays():

@@ -59,6 +59,15 @@ def test_a_stationary_violation_that_is_not_the_least():
     assert least.violation == 0.0
 
 
+def test_the_violation_is_that_of_the_design():
+    """Six variables at maxima of one constraint, which no design meets."""
+    f = lambda x: [25 + sum((6 - k) * (np.cos(x[k]) - 1) for k in range(6))]  # noqa: E731
+    problem = Analytic("six", [0.0] * 6, lambda x: x[0], f, lower=-1.5, upper=1.5)
+    least, _ = least_of(problem)
+    assert least.violation == pytest.approx(f(least.y)[0])
+    assert least.violation == pytest.approx(25 + 21 * (np.cos(1.5) - 1), rel=1e-6)
+
+
 def test_a_feasible_design_ends_the_search_for_one():
     problem = Analytic("disk", [4.0, 4.0], lambda x: x[0], lambda x: [x[0] ** 2 + x[1] ** 2 - 1], lower=-5, upper=5)
     least, _ = least_of(problem)

@@ -196,6 +196,12 @@ def restore_feasibility(
     return Ending(y, "infeasible", f"{message} each other or the bounds ({ending.message})")
 
 
+def _is_flat(search: Search, y: np.ndarray) -> bool:
+    """Return True if the gradient of the objective is zero at all designs near y that the search has seen."""
+    gradients = [x.objective_gradient for _, x in search.nearest(y, search.size + 1)]
+    return not any(df is not None and df.any() for df in gradients)
+
+
 def build_result(
     search: Search, ending: Ending, method: str, problem: Box, evaluate: bool = True, kkt: float = KKT
 ) -> OptimizationResult:
@@ -215,7 +221,7 @@ def build_result(
     if status == "converged" and not violation <= search.feasibility:
         status, message = "infeasible", f"{message}, but a constraint is violated by {violation:.3g}"
     df = evaluation.objective_gradient
-    if status == "converged" and len(search.history) == 1 and df is not None and not df.any():
+    if status == "converged" and len(search.history) == 1 and df is not None and not df.any() and _is_flat(search, y):
         message = "the objective does not depend on any variable near the start: its gradient is zero there and aside"
     feasible = next((i.iteration for i in search.history if i.violation <= search.feasibility), None)
     if feasible and violation <= search.feasibility:

@@ -38,10 +38,21 @@ def lagrangian_gradient(evaluation: Evaluation, multipliers: np.ndarray, weight:
     return weight * evaluation.objective_gradient + evaluation.constraint_gradients.T @ multipliers
 
 
-def tangent_basis(gradients: np.ndarray, quality: KuhnTucker, threshold: float) -> np.ndarray:
-    """Return an orthonormal basis [n, k] of the directions along constraints and bounds with multipliers above `threshold`."""
+def carries(evaluation: Evaluation, quality: KuhnTucker, threshold: float) -> np.ndarray:
+    """Return which constraints [m] have a multiplier above `threshold`, for constraints whose gradients have length one."""
+    assert evaluation.constraint_gradients is not None
+    return np.abs(quality.multipliers) * np.linalg.norm(evaluation.constraint_gradients, axis=1) > threshold
+
+
+def tangent_basis(evaluation: Evaluation, quality: KuhnTucker, threshold: float, equality: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis [n, k] of the directions along equalities, and constraints and bounds with a multiplier.
+
+    threshold  of multipliers, of constraints whose gradients have length one;  equality: which constraints [m] are equalities
+    """
+    assert evaluation.constraint_gradients is not None
+    held = carries(evaluation, quality, threshold) | equality
     bounds = np.eye(quality.bound_multipliers.size)[np.abs(quality.bound_multipliers) > threshold]
-    return null_space(np.vstack([gradients[np.abs(quality.multipliers) > threshold], bounds]))
+    return null_space(np.vstack([evaluation.constraint_gradients[held], bounds]))
 
 
 def reduced_hessian(
@@ -92,56 +103,68 @@ def perturb_stationary_start(search: Search, first: Evaluation) -> tuple[np.ndar
     return perturbed, evaluation
 
 
-def beyond_saddle(search: Search, y: np.ndarray, threshold: float) -> tuple[np.ndarray, Evaluation] | None:
+def beyond_saddle(search: Search, y: np.ndarray, threshold: float) -> tuple[tuple[np.ndarray, Evaluation] | None, str]:
     """Return a design [n] beyond a Kuhn-Tucker point y that is a saddle point or a maximum, and its evaluation; else None.
 
-    The Lagrangian is lower there. Limits may be violated a little: the search goes on from there.
+    The Lagrangian is lower there, and constraints that the Lagrangian leaves out are not violated. The search goes on from
+    there. The second result says why the curvature is not known, or is empty.
 
     threshold  multiplier from which a constraint or a bound is held
     """
     evaluation = search.evaluate(y, gradients=True)
     quality = search.kuhn_tucker(evaluation, y)
     size = max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
-    s = negative_curvature(search, y, quality, threshold, size)
-    return None if s is None else better_along(search, y, s, lambda there: _merit(there, quality), REST * size)
+    s, unknown = negative_curvature(search, y, quality, threshold, size)
+    if s is None:
+        return None, unknown
+    weighed = carries(evaluation, quality, threshold)
+    penalty = max(1.0, float(np.abs(quality.multipliers).max(initial=0.0)))
+
+    def merit(there: Evaluation) -> float:
+        """The Lagrangian of the constraints that carry a multiplier, with a penalty for the violation of all others."""
+        c, others = there.constraints, there.constraints[~weighed]
+        violated = np.where(search.equality[~weighed], np.abs(others), np.maximum(others, 0.0))
+        return there.objective + float(quality.multipliers[weighed] @ c[weighed]) + penalty * float(violated.sum())
+
+    return better_along(search, y, s, merit, REST * size), ""
 
 
 def negative_curvature(
     search: Search, y: np.ndarray, quality: KuhnTucker, threshold: float, size: float, weight: float = 1.0
-) -> np.ndarray | None:
-    """Return the direction [n] of the most negative curvature, its largest component one; None: there is none of account.
+) -> tuple[np.ndarray | None, str]:
+    """Return a direction [n] of negative curvature, its largest component one; None: there is none of account.
 
-    None also where more than MOST_DIRECTIONS would have to be measured.
+    It is the sum of all such directions, each towards the side with more room inside the bounds. The second result says why
+    the curvature is not known, or is empty.
 
     size    of the function that is minimized: promised gains are compared with it
     weight  of the objective in the Lagrangian; 0 where the violation is minimized
     """
     evaluation = search.evaluate(y, gradients=True)
-    assert evaluation.constraint_gradients is not None
-    held = np.concatenate([quality.multipliers, quality.bound_multipliers])
-    if y.size - int((np.abs(held) > threshold).sum()) > MOST_DIRECTIONS:
-        return None
-    Z = tangent_basis(evaluation.constraint_gradients, quality, threshold)
+    held = carries(evaluation, quality, threshold) | search.equality
+    free = y.size - int(held.sum()) - int((np.abs(quality.bound_multipliers) > threshold).sum())
+    if free > MOST_DIRECTIONS:  # before a matrix of n x n numbers is made
+        return None, f"the curvature was not measured in its {free} free directions, more than {MOST_DIRECTIONS}"
+    Z = tangent_basis(evaluation, quality, threshold, search.equality)
     if not Z.shape[1]:
-        return None
+        return None, ""
     reduced = reduced_hessian(search, y, evaluation, quality.multipliers, Z, weight)
     if reduced is None:
-        return None
-    values, vectors = np.linalg.eigh(reduced)
-    s = Z @ vectors[:, 0]
-    s /= np.abs(s).max()
-    return s if -0.5 * values[0] * float(s @ s) > GAIN * size else None
+        return None, "the curvature was not measured, because a design beside it fails"
+    result = np.zeros(y.size)
+    for value, vector in zip(*np.linalg.eigh(reduced), strict=True):
+        s = Z @ vector
+        s /= np.abs(s).max()
+        if -0.5 * value * float(s @ s) > GAIN * size:
+            result += s if _room(search, y, s) >= _room(search, y, -s) else -s
+    largest = np.abs(result).max()
+    return (result / largest, "") if largest > 0.0 else (None, "")
 
 
 def better_along(
     search: Search, y: np.ndarray, s: np.ndarray, merit: Callable[[Evaluation], float], least: float
 ) -> tuple[np.ndarray, Evaluation] | None:
-    """Return the first design along s, at +- LENGTHS, whose merit is lower by more than `least`; None: there is none.
-
-    The side with more room inside the bounds comes first.
-    """
-    if _room(search, y, -s) > _room(search, y, s):
-        s = -s
+    """Return the first design along s, at +- LENGTHS, whose merit is lower by more than `least`; None: there is none."""
     limit = merit(search.evaluate(y)) - least
     for step in (sign * length * s for sign in (1.0, -1.0) for length in LENGTHS):
         trial = np.clip(y + step, search.lower, search.upper)
@@ -155,11 +178,3 @@ def _room(search: Search, y: np.ndarray, s: np.ndarray) -> float:
     """Return the largest t so that y + t s lies inside the bounds."""
     ahead = np.where(s > 0.0, search.upper - y, y - search.lower)
     return float(np.min(ahead[s != 0.0] / np.abs(s[s != 0.0]), initial=np.inf))
-
-
-def _merit(evaluation: Evaluation, quality: KuhnTucker) -> float:
-    """Return the Lagrangian, with a penalty for limits without a multiplier."""
-    c, weights = evaluation.constraints, quality.multipliers
-    free = weights == 0.0
-    penalty = max(1.0, float(np.abs(weights).max(initial=0.0)))
-    return evaluation.objective + float(weights @ c) + penalty * float(np.maximum(c[free], 0.0).sum())

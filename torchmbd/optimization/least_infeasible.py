@@ -48,19 +48,22 @@ class LeastInfeasible:
 def least_infeasible(search: Search, y: np.ndarray) -> LeastInfeasible:
     """Minimize the largest violation from `y` (scaled), a design that is evaluated already."""
     sign, rows = _rows(search)
-    for _ in range(SADDLES + 1):
+    saddles = 0
+    while True:
         y = _descent(search, y, sign, rows)
         evaluation = search.evaluate(y, gradients=True)
         violation = search.violation(evaluation)
         if violation <= search.feasibility:
             return LeastInfeasible(y, violation, [])
         quality = _quality(search, y, evaluation, sign, rows)
-        s = negative_curvature(search, y, quality, CONFLICT, violation, weight=0.0)
-        beyond = None if s is None else better_along(search, y, s, search.violation, REST * violation)
+        beyond = None
+        if saddles < SADDLES:
+            s, _ = negative_curvature(search, y, quality, CONFLICT, violation, weight=0.0)
+            beyond = None if s is None else better_along(search, y, s, search.violation, REST * violation)
         if beyond is None:
-            break
-        y = beyond[0]
-    return LeastInfeasible(y, violation, np.flatnonzero(np.abs(quality.multipliers) > CONFLICT).tolist())
+            conflicting = np.flatnonzero(np.abs(quality.multipliers) > CONFLICT).tolist()
+            return LeastInfeasible(y, violation, conflicting)
+        y, saddles = beyond[0], saddles + 1
 
 
 def _descent(search: Search, y: np.ndarray, sign: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -24,10 +24,9 @@ from torchmbd.optimization.curvature import beyond_saddle, lagrangian_gradient, 
 from torchmbd.optimization.kkt import SMALLEST_OBJECTIVE
 from torchmbd.optimization.methods.direction import VariableMetric, find_direction
 from torchmbd.optimization.optimizer import Ending, Evaluation
-from torchmbd.optimization.search import Search
+from torchmbd.optimization.search import OutOfAnalyses, OutOfTime, Search
 
 RUNS = 4
-SADDLES = 3  # Kuhn-Tucker points that are no minima, which a search leaves
 SMALLEST_UNIT = 1e-9  # of the start's objective
 REST = 1e-8  # of the objective: a further run that lowers it by less is the last
 FAR_BELOW = 0.05  # of the objective at the start of a run
@@ -130,14 +129,18 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
         return Ending(search.start, "failed", f"the start could not be evaluated: {first.status}")
     y, evaluation = perturb_stationary_start(search, first)
     assert evaluation.objective_gradient is not None
+    left: float | None = None  # objective of the last saddle point that the search has left
     if search.violation(evaluation) <= search.feasibility and not evaluation.objective_gradient.any():
         # Interior point methods would leave for the middle of the bounds.
-        return Ending(y, "converged", "the gradient is zero")
+        beyond, unknown = _beyond(search, y, kkt)
+        if beyond is None:
+            return Ending(y, "converged", _joined("the gradient is zero", unknown))
+        left, (y, evaluation) = evaluation.objective, beyond
     if not (search.upper > search.lower).any():
         feasible = search.violation(evaluation) <= search.feasibility
         return Ending(y, "converged" if feasible else "infeasible", "the bounds fix all variables")
     failed: list[np.ndarray] = []
-    unit, message, number, saddles = 1.0, "", 0, 0
+    unit, message, number = 1.0, "", 0
     while number < RUNS:
         start = y
         remaining = max_iterations - (len(search.history) - 1)
@@ -155,17 +158,20 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
         if feasible and stop.success and 0.0 < reached < FAR_BELOW * unit and quality.residual > kkt:
             unit = max(reached, SMALLEST_UNIT)
             continue
-        end = None
+        end, note = None, "a Kuhn-Tucker point" if not stop.success else ""
         if feasible and quality.residual <= kkt:
-            end, message = y, message if stop.success else f"{message}: a Kuhn-Tucker point"
+            end = y
         elif feasible and stop.success and quality.residual <= NEAR * kkt:
-            end = last_steps(search, y, evaluation, kkt)
-            message = f"{message}: quadratic steps from there end in a Kuhn-Tucker point"
+            end, note = last_steps(search, y, evaluation, kkt), "quadratic steps from there end in a Kuhn-Tucker point"
         if end is not None:
-            beyond = beyond_saddle(search, end, kkt) if saddles < SADDLES else None
+            reached = search.evaluate(end).objective
+            if left is not None and reached >= left - REST * max(abs(left), SMALLEST_OBJECTIVE):
+                note = _joined(note, "beyond this saddle point nothing better was found")
+                return Ending(end, "converged", _joined(message, note))
+            beyond, unknown = _beyond(search, end, kkt)
             if beyond is None:
-                return Ending(end, "converged", message)
-            (y, evaluation), number, saddles = beyond, 0, saddles + 1
+                return Ending(end, "converged", _joined(message, _joined(note, unknown)))
+            left, number, (y, evaluation) = reached, 0, beyond
             continue
         if (np.array_equal(start, y) or not feasible) and not failed and not stop.success:
             break
@@ -173,6 +179,18 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
         if number > 1 and feasible and not failed and before.objective - evaluation.objective <= least:
             break
     return _ending(search, y if search.best is None else search.best, message, max_iterations)
+
+
+def _beyond(search: Search, y: np.ndarray, kkt: float) -> tuple[tuple[np.ndarray, Evaluation] | None, str]:
+    """As `beyond_saddle`; a limit of time or analyses that is reached there does not undo that the search has converged."""
+    try:
+        return beyond_saddle(search, y, kkt)
+    except (OutOfTime, OutOfAnalyses):
+        return None, "a limit was reached before the curvature was measured"
+
+
+def _joined(message: str, note: str) -> str:
+    return f"{message}: {note}" if message and note else message or note
 
 
 def last_steps(search: Search, y: np.ndarray, evaluation: Evaluation, kkt: float) -> np.ndarray | None:

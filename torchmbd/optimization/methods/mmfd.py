@@ -207,8 +207,7 @@ class FeasibleDirections:
         if not self.settings.second_order:
             return False
         estimate, search = self.multiplier_estimate(), self.search
-        assert self.evaluation.constraint_gradients is not None
-        Z = tangent_basis(self.evaluation.constraint_gradients, estimate, self.settings.kkt)
+        Z = tangent_basis(self.evaluation, estimate, self.settings.kkt, search.equality)
         reduced = reduced_hessian(search, self.y, self.evaluation, estimate.multipliers, Z)
         if reduced is None or not reduced.size:
             return False
