@@ -72,11 +72,8 @@ class LanesOfRun(NamedTuple):
 
     def of_outputs(self, bar: Outputs) -> Outputs:
         """Cotangents of the states at the steps of the run, its data and its switches, from those of the batch."""
-        pairs, count = (
-            zip(bar.states, list(bar.at_steps[:STATES]) or [None] * STATES, strict=True),
-            len(self.adjoint.run.q),
-        )
-        states = [(self.of_run(at_times), self.of_run(at_steps)) for at_times, at_steps in pairs]
+        of_steps, count = bar.at_steps[:STATES] or (None,) * STATES, len(self.adjoint.run.q)
+        states = [(self.of_run(x), self.of_run(y)) for x, y in zip(bar.states, of_steps, strict=True)]
         return bar._replace(
             states=[of_kept_states(*x, count, self.substeps) for x in states],
             data={name: self.of_run(x) for name, x in bar.data.items()},

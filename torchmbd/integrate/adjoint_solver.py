@@ -61,7 +61,6 @@ class Grid:
     restarts     numbers of further states at which the stepper discarded what it keeps
     cuts         further numbers of states at which segments of steps end
     integrator   that made the steps;  corrections: of their cotangents, at least
-    substeps     intervals of kept states for each of the batch
     """
 
     lanes: list[int]
@@ -79,14 +78,6 @@ class Grid:
     starts: dict[int, State] | None = None
     restarts: Sequence[int] = ()
     cuts: Sequence[int] = ()
-    substeps: int = 1
-
-    def of_kept_states(self, of_motion: Tensor | None, of_steps: Tensor | None) -> Tensor | None:
-        """Cotangents [times, n, rows, lanes] of the states of these lanes that are kept, from those of all lanes."""
-        coarse, fine = (
-            x if x is None or x.shape[-1] == len(self.lanes) else x[..., self.lanes] for x in (of_motion, of_steps)
-        )
-        return of_kept_states(coarse, fine, len(self.history.q), self.substeps)
 
     def cotangents(self, by: Cotangents) -> dict[str, Tensor]:
         """By the leaves [component..., rows, lanes]: through the start, the laws of drives and the condensation."""

@@ -24,7 +24,7 @@ SEGMENT = 2000  # steps
 
 
 class RefinedLane(NamedTuple):
-    """A lane that was integrated by smaller steps.
+    """A lane that was integrated again, by smaller steps or with a renewed iteration matrix.
 
     history    with all of these steps;  lane: its number there
     substeps   intervals there for each of the batch
@@ -41,9 +41,9 @@ class History:
 
     expansion     leads to the whole system; None: it is the whole
     times         [times] [s]; None: equal intervals over the duration
-    refined       lanes that were integrated by smaller steps
+    refined       lanes that were integrated again, mostly by smaller steps
     segment       number of the segment that each state is in, -1: in none [times, 1, lanes]; None: there is one segment
-    run           that made them (integrate/phases/run.py); None: states of a run, or of none
+    run           that made them (integrate/phases/run.py); None: these states are a part of another history
     """
 
     q: Tensor

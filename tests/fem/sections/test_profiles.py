@@ -159,6 +159,7 @@ def test_a_laminate_goes_half_way_round_a_corner():
         ("hat_section", "crown", {"crown": 0.03, "radius": 0.006}),
         ("z_section", "radius", {"radius": -1e-3}),
         ("z_section", "radius", {"radius": float("nan")}),
+        ("hat_section", "radius", {"radius": float("nan")}),
     ],
 )
 def test_radii_that_do_not_fit(name, argument, sizes):

@@ -71,7 +71,7 @@ def c_section(
                section's angles those of bottom, web, top, one after the other. All walls have as many plies
     thickness  of every ply, or one for each ply of a wall
     cells      along each wall, through each ply
-    radius     of the inside of the corners, which are sharp by default
+    radius     of the inside of the corners, which are sharp by default; elements of order 1 make a polygon of 4 sides of it
 
     >>> section = mbd.sections.c_section(0.03, 0.06, mbd.examples.carbon(), mbd.deg([0, 45]), thickness=1e-3, cells=(4, 1))
     >>> round(section.mass()[0, 0].item() / 1586.0 * 1e6, 6)  # area: 2 mm x (60 + 2 x 28) mm
@@ -153,8 +153,8 @@ def hat_section(
 
     Walls "left_foot", "left_web", "crown", "right_web", "right_foot". Others as of `c_section`.
     """
-    if not number(crown) < number(width) - 2.0 * number(radius):
-        limit = f"the width {number(width):g} m" + (" without two radii" if number(radius) > 0.0 else "")
+    if not number(crown) < number(width) - 2.0 * (r := _checked(radius)):
+        limit = f"the width {number(width):g} m" + (f" minus twice the radius {r:g} m" if r else "")
         raise InputError(
             "crown",
             number(crown),
@@ -207,6 +207,12 @@ def t_section(
     return Section(parametric_mesh(build, lengths | {"thickness": thickness}, order), plies, section_angles)
 
 
+def _checked(radius: float | Tensor) -> float:
+    """The radius of corners as a number [m]; 0 for a sharp one, which cannot be a design variable."""
+    check = positive if is_variable(radius) else nonnegative
+    return check("radius", number(radius), "m")
+
+
 def _laminates(
     kind: str,
     names: Sequence[str],
@@ -231,12 +237,12 @@ def _laminates(
     total = checked_thicknesses(thickness, layers).sum()
     for (name, length), walls in zip(lengths.items(), least, strict=True):
         if not walls * (total + radius) < number(length):
-            limit = "the thickness" if walls == 1 else f"{walls} times the thickness"
-            corner = f" and the radius {radius:g} m of a corner" if radius else ""
+            sizes = f"the thickness {total:g} m of a wall" + (f" plus the radius {radius:g} m" if radius else "")
+            limit = sizes if walls == 1 else f"{walls} times {f'({sizes})' if radius else sizes}"
             raise InputError(
                 (str(kind), name),
                 number(length),
-                rule=f"must be more than {limit} {total:g} m of a wall{corner}",
+                rule=f"must be more than {limit}",
                 hint="thinner or fewer plies" + (", a smaller radius" if radius else ""),
                 noun=f"{kind}: {name}",
                 shown=f"{number(length):g} m",
@@ -265,8 +271,7 @@ def _chain(
 
     walls   name -> direction;  path: their points in the middle, of the thickness of a wall and the lengths
     """
-    check = positive if is_variable(radius) else nonnegative  # a corner that is sharp stays sharp
-    r = check("radius", number(radius), "m")
+    r = _checked(radius)
     layers, of_walls, plies, section_angles = _laminates(
         kind, list(walls), lengths, least, ply, angles, thickness, cells, order, r
     )

@@ -1,4 +1,4 @@
-"""Some lanes of a simulation through phases as a graph of torch: its leaves, and their cotangents from those of outputs.
+"""Some lanes of a motion as a graph of torch: its leaves, and their cotangents from those of outputs.
 
 No lane depends on another, so one pass gives the cotangents of all. Cotangents have the rows of the responses first:
 [rows, ...] of a number [..., lanes], a design or a mode shape [lanes, ...]. None: zero.

@@ -92,7 +92,7 @@ class MultiphaseRun:
         self.q, self.v, self.vd, self.lam = self.states.parts
         self.kept_times = self.times[:: self.every]  # of the states that are kept
         self.views = self.views.continuing(self.kept_times, self.q, self.v)
-        self.phase_number = torch.full((self.steps + 1, lanes), -1)
+        self.phase_number = torch.full((self.steps + 1, lanes), -1, dtype=torch.int32)  # kept with the motion
         self.watch = ContactWatch(self.whole, self.steps)
 
     def __getstate__(self) -> dict[str, Any]:

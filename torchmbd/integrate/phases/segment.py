@@ -223,7 +223,7 @@ def _check_order(phases: Sequence[Phase], names: Sequence[str], duration: float)
     for name, phase in zip(names[:-1], phases[:-1], strict=True):
         if phase.until is None and phase.lasting is None:
             raise InputError(
-                (name,),
+                ("phases", name, "until"),
                 allowed="until or lasting for every phase but the last",
                 noun=f"phase {name!r}",
                 state="never ends",

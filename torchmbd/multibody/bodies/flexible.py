@@ -167,7 +167,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
                 name = child if len(owners) == 1 else key if len(modules) == 1 else f"{key}_{child}"
                 if hasattr(self, name):
                     raise InputError(
-                        (name,),
+                        (self.name, "parts", name),
                         allowed="any other",
                         noun=f"part {name!r}",
                         state=f"of {self.name!r} has a name that is taken",

@@ -89,7 +89,7 @@ def _check(control: Control) -> None:
     for name, p in control.module.named_parameters():
         if p.dtype != torch.float64:
             raise InputError(
-                (name,),
+                (control.label, name),
                 allowed="torch.float64",
                 noun=f"parameter {name!r}",
                 state=f"of the {control.label} is {p.dtype}",

@@ -99,7 +99,7 @@ class Attached:
         nodes  k nodes, among which are those of the interpolation
         """
         if self.interpolation is None:
-            return torch.zeros_like(psi2[..., 0, :3, :, :])
+            return psi2.new_zeros(*psi2.shape[:-4], 3, *psi2.shape[-2:])
         x = self.body.mesh.nodes - self.body.origin
         members = list(self.interpolation.nodes)
         index = [list(nodes).index(k) for k in members]
