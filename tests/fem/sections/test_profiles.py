@@ -170,3 +170,16 @@ def test_radii_that_do_not_fit(name, argument, sizes):
 def test_a_variable_radius_of_zero_is_refused():
     with refused("radius"):
         profile("c_section", radius=mbd.variable(0.0))
+
+
+@pytest.mark.parametrize("name", ["c_section", "l_section", "z_section", "hat_section", "t_section"])
+def test_angles_may_be_shared_by_sections(name):
+    """As of `tube`: one Parameter in several sections of a tapered body."""
+    angles = torch.nn.Parameter(mbd.deg([30.0, -45.0]))
+    sections = [
+        profile(name, ply=mbd.examples.carbon(), angles=angles, thickness=t, cells=(2, 1)) for t in (T / 2, T / 3)
+    ]
+    for section in sections:
+        assert section.angles is angles
+        [slope] = torch.autograd.grad(section.stiffness()[0, 0], angles)
+        assert bool((slope != 0.0).all())

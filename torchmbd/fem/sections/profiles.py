@@ -47,7 +47,6 @@ from torchmbd.math.checked_numbers import nonnegative, positive
 from torchmbd.math.gradients import constant_arguments, is_variable
 from torchmbd.math.variable import number
 
-Walls = Angles | Mapping[str, Angles]
 _RIGHT, _LEFT, _UP, _DOWN = (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)
 # Along each wall and through each ply: torsion within 1 % of its limit.
 _CELLS = (12, 1)
@@ -59,7 +58,7 @@ def c_section(
     width: float | Tensor,
     height: float | Tensor,
     ply: Plies,
-    angles: Walls,
+    angles: Angles | Mapping[str, Angles],
     thickness: Varying,
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
@@ -92,7 +91,7 @@ def l_section(
     width: float | Tensor,
     height: float | Tensor,
     ply: Plies,
-    angles: Walls,
+    angles: Angles | Mapping[str, Angles],
     thickness: Varying,
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
@@ -117,7 +116,7 @@ def z_section(
     width: float | Tensor,
     height: float | Tensor,
     ply: Plies,
-    angles: Walls,
+    angles: Angles | Mapping[str, Angles],
     thickness: Varying,
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
@@ -143,7 +142,7 @@ def hat_section(
     crown: float | Tensor,
     height: float | Tensor,
     ply: Plies,
-    angles: Walls,
+    angles: Angles | Mapping[str, Angles],
     thickness: Varying,
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
@@ -177,7 +176,7 @@ def t_section(
     width: float | Tensor,
     height: float | Tensor,
     ply: Plies,
-    angles: Walls,
+    angles: Angles | Mapping[str, Angles],
     thickness: Varying,
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
@@ -219,7 +218,7 @@ def _laminates(
     lengths: Mapping[str, Any],
     least: Sequence[int],
     ply: Plies,
-    angles: Walls,
+    angles: Angles | Mapping[str, Angles],
     thickness: Varying,
     cells: tuple[int, int],
     order: int,
@@ -261,7 +260,7 @@ def _chain(
     lengths: dict[str, Any],
     least: Sequence[int],
     ply: Plies,
-    angles: Walls,
+    angles: Angles | Mapping[str, Angles],
     thickness: Varying,
     cells: tuple[int, int],
     order: int,
