@@ -192,7 +192,7 @@ def restore_feasibility(
         return function(search, remaining, **options)
     if violation <= search.feasibility:
         return Ending(y, "max_iterations", f"{ending.message}; a feasible design was found")
-    message = f"no design near here violates less than {violation:.3g}: constraints {conflicting} conflict"
+    message = f"no design near here violates less than {violation:.3g}: constraints {conflicting} conflict with"
     return Ending(y, "infeasible", f"{message} each other or the bounds ({ending.message})")
 
 
