@@ -517,6 +517,7 @@ def test_bad_changes_are_named():
             assert word in str(error.value), str(error.value)
 
 
+@pytest.mark.extensions
 def test_what_does_not_know_temperatures_refuses_them():
     strength = mbd.examples.carbon().strength
     ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, strength, 0.0, -0.3e-6, 28e-6)
