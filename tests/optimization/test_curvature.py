@@ -148,6 +148,23 @@ def test_a_saddle_between_equal_sides_is_left_once():
     assert len({iterate.x.tobytes() for iterate in result.history}) == len(result.history)
 
 
+def test_a_saddle_beyond_which_nothing_is_better_is_told():
+    """Along x2 the Lagrangian falls, but all designs that are better and feasible fail."""
+    f, c = lambda x: x[0] - x[1] ** 2 + 3, lambda x: [1 - x[0] + 0.5 * x[1] ** 2]
+    problem = Analytic("walls", [0.5, 0.0], f, c, lower=-3, upper=3, fails=lambda x: x[0] > 1.0 + 1e-5)
+    result = optimize(problem, "slsqp")
+    assert result.value == pytest.approx(4.0, abs=1e-4)
+    assert "beyond this saddle point nothing better was found" in result.message
+
+
+def test_a_failing_design_beside_the_end_is_told():
+    f = lambda x: (x[0] - 1) ** 2 + x[1] ** 2 + 1  # noqa: E731
+    problem = Analytic("edge", [2.0, 0.0], f, lower=-3, upper=3, fails=lambda x: 0.0 < abs(x[1]) < 0.1)
+    result = optimize(problem, "slsqp")
+    assert result.value == pytest.approx(1.0, abs=1e-6)
+    assert "a design beside it fails" in result.message
+
+
 @pytest.mark.parametrize("method", PACKAGES[:3])
 def test_a_corner_of_a_steep_constraint_stays(method):
     """Along x1 the objective falls, and curves down, but a constraint with a small multiplier and a large slope ends it."""

@@ -39,7 +39,7 @@ def everything(motion: mbd.Trajectory) -> Tensor:
 
 
 def the_adjoint(motion: mbd.Trajectory) -> RunAdjoint:
-    """Of a motion whose gradients were asked for once, and whose lanes were integrated together."""
+    """The adjoint of the only run of a motion, after one call for gradients."""
     ((run,),) = motion.integration.adjoint._runs.values()
     return run.adjoint
 
@@ -74,12 +74,12 @@ def test_compiled_and_eager_agree(name, native):
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 2)}
     motion = finished(mbd.simulate(system, duration, gradients="reverse", backend="native", **options))
     fast = differentiate(everything, motion).gradient
-    own = the_adjoint(motion)
-    ((inputs, solver),) = own.solvers.items()
+    adjoint = the_adjoint(motion)
+    ((inputs, solver),) = adjoint.solvers.items()
     assert type(solver) is not adjoint_solver.AdjointSolver
     assert solver.code is not None
-    assert float(own.error.max()) < 1e-6
-    own.solvers[inputs] = adjoint_solver.AdjointSolver(solver.grid)
+    assert float(adjoint.error.max()) < 1e-6
+    adjoint.solvers[inputs] = adjoint_solver.AdjointSolver(solver.grid)
     eager = differentiate(everything, motion).gradient
     assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
 
@@ -127,14 +127,14 @@ def test_the_compiled_error_is_the_largest_of_all_steps(native):
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 1)}
     motion = finished(mbd.simulate(system, duration, gradients="reverse", backend="native", **options))
     differentiate(everything, motion)
-    own = the_adjoint(motion)
-    ((inputs, solver),) = own.solvers.items()
+    adjoint = the_adjoint(motion)
+    ((inputs, solver),) = adjoint.solvers.items()
     assert type(solver) is not adjoint_solver.AdjointSolver
-    compiled_error = own.error.clone()
-    own.error.zero_()
-    own.solvers[inputs] = adjoint_solver.AdjointSolver(solver.grid)
+    compiled_error = adjoint.error.clone()
+    adjoint.error.zero_()
+    adjoint.solvers[inputs] = adjoint_solver.AdjointSolver(solver.grid)
     differentiate(everything, motion)
-    assert_close(compiled_error, own.error, rtol=0.1, atol=0)
+    assert_close(compiled_error, adjoint.error, rtol=0.1, atol=0)
 
 
 @pytest.mark.thorough

@@ -150,7 +150,10 @@ def _warn_inaccurate(error: Tensor) -> None:
 
 
 def _lanes_of_run(names: Sequence[str], group: Sequence[tuple[int, tuple[MultiphaseRun, int, int]]]) -> LanesOfRun:
-    """Of lanes of the batch, each with the run that integrated it, its number there and the steps for each of the batch."""
+    """Return the adjoint of the lanes that one run integrated.
+
+    group   lanes of the batch; of each the run, its number in the run, and the steps of the run for one of the batch
+    """
     lanes, sources = zip(*group, strict=True)
     run, _, substeps = sources[0]
     return LanesOfRun(RunAdjoint(run, names, [lane for _, lane, _ in sources]), list(lanes), substeps)

@@ -201,9 +201,8 @@ def _check_lanes(name: str, x: Tensor, good: Tensor, allowed: str) -> None:
     """InputError for the first lane of a design [lanes, ...] that is not good."""
     if not all_true(good):
         lane = int(torch.nonzero(~good.reshape(len(x), -1).all(1))[0])
-        raise InputError(
-            (name,), allowed=allowed, noun=f"design {name!r}", state=f"of lane {lane} is {x[lane].tolist()}"
-        )
+        numbers = x[lane].tolist()
+        raise InputError((name,), numbers, allowed, noun=f"design {name!r}", state=f"of lane {lane} is {numbers}")
 
 
 def checked_variables(system: System, variables: Any) -> list[str]:

@@ -72,11 +72,11 @@ def thin_walls(name: str, radius: float = 0.0) -> tuple[float, torch.Tensor, tor
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("radius", [0.0, 4e-3])
-@pytest.mark.parametrize("name", ["c_section", "l_section", "z_section", "hat_section", "t_section"])
+@pytest.mark.parametrize(
+    ("name", "radius"),
+    [("t_section", 0.0), *itertools.product(["c_section", "l_section", "z_section", "hat_section"], [0.0, 4e-3])],
+)
 def test_stiffness_is_that_of_thin_walls(name, radius):
-    if radius and name == "t_section":
-        pytest.skip("plies of a T do not go round corners")
     section = profile(name, cells=(6, 1), **({"radius": radius} if radius else {}))
     area, center, moments, torsion = thin_walls(name, radius)
     flexibility = torch.linalg.inv(section.stiffness().detach())
@@ -145,10 +145,12 @@ def test_a_laminate_goes_half_way_round_a_corner():
     """The masses of plies of two densities differ by half of an arc."""
     heavy = mbd.Ply.isotropic(E=E, nu=NU, density=5400.0)
     angles = {"bottom": [0.0], "left": [0.0]}
-    both, one = (profile("l_section", ply=ply, angles=angles, radius=4e-3) for ply in ([STEEL, STEEL], [STEEL, heavy]))
+    light, mixed = (
+        profile("l_section", ply=ply, angles=angles, radius=4e-3) for ply in ([STEEL, STEEL], [STEEL, heavy])
+    )
     R = 4e-3 + T / 2
     length = H - T / 2 - R + np.pi * R / 4
-    assert (one.mass() - both.mass())[0, 0].item() == pytest.approx(2700.0 * T * length, rel=1e-5)
+    assert (mixed.mass() - light.mass())[0, 0].item() == pytest.approx(2700.0 * T * length, rel=1e-5)
 
 
 @pytest.mark.parametrize(

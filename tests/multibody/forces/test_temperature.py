@@ -57,8 +57,8 @@ def strip(laminate: mbd.Laminate, **options: Any) -> mbd.FlexibleBody:
 
 def bar(section: Any = None, elements: int = 4, **options: Any) -> mbd.FlexibleBody:
     metal = section or mbd.GivenSection.isotropic(E, 0.3, 7850.0, AREA, I_Y, 16.0 * I_Y, 3.0 * I_Y, alpha=ALPHA)
-    given: dict = {"modes": 2, "reference": "start", "expansion": True} | options
-    return mbd.FlexibleBody.beam("bar", mbd.BeamLine.straight(0.5, elements), metal, **given)
+    arguments: dict = {"modes": 2, "reference": "start", "expansion": True} | options
+    return mbd.FlexibleBody.beam("bar", mbd.BeamLine.straight(0.5, elements), metal, **arguments)
 
 
 @kinds
@@ -66,7 +66,7 @@ def test_every_node_of_a_free_plate_moves_by_classical_lamination(kind):
     """An unbalanced stack on distorted cells: u = eps x, w and rotations by the curvatures, exact for any mesh."""
     laminate = mbd.Laminate(CARBON, mbd.deg([20, -50, 75]), [0.3e-3, 0.2e-3, 0.4e-3])
     body = skewed(laminate, kind)
-    found = displacements(body, mbd.Temperature(body, -30.0, gradient=2e3, moisture=0.002))
+    moved = displacements(body, mbd.Temperature(body, -30.0, gradient=2e3, moisture=0.002))
     free = laminate.expansion(-30.0, 2e3, 0.002)
     x, y, _ = (body.mesh.nodes - body.origin).T
     (ex, ey, exy), (kx, ky, kxy) = free.strain.detach(), free.curvature.detach()
@@ -74,8 +74,8 @@ def test_every_node_of_a_free_plate_moves_by_classical_lamination(kind):
     w = -0.5 * (kx * x**2 + kxy * x * y + ky * y**2)
     in_plane = torch.stack([ex * x + 0.5 * exy * y, 0.5 * exy * x + ey * y, 0.0 * x], 1)
     across = torch.stack([w, slope[1], -slope[0]], 1)
-    assert_close(found[:, [0, 1, 5]], in_plane, rtol=0, atol=1e-6 * float(in_plane.abs().max()))
-    assert_close(found[:, 2:5], across, rtol=0, atol=1e-6 * float(across.abs().max()))
+    assert_close(moved[:, [0, 1, 5]], in_plane, rtol=0, atol=1e-6 * float(in_plane.abs().max()))
+    assert_close(moved[:, 2:5], across, rtol=0, atol=1e-6 * float(across.abs().max()))
     assert float(in_plane.abs().max()) > 1e-7
 
 
@@ -86,8 +86,8 @@ def test_a_quasi_isotropic_plate_expands_alike(kind):
     d = 1 - 0.23**2 * 10.1 / 128
     Q11, Q22, Q12 = 128 / d, 10.1 / d, 0.23 * 10.1 / d
     alpha = (Q11 * -0.3e-6 + Q12 * (28e-6 - 0.3e-6) + Q22 * 28e-6) / (Q11 + Q22 + 2 * Q12)
-    found = displacements(body, mbd.Temperature(body, 80.0))
-    assert_close(found[:, :3], 80.0 * alpha * (body.mesh.nodes - body.origin), rtol=0, atol=1e-6 * 80.0 * alpha * 0.3)
+    moved = displacements(body, mbd.Temperature(body, 80.0))
+    assert_close(moved[:, :3], 80.0 * alpha * (body.mesh.nodes - body.origin), rtol=0, atol=1e-6 * 80.0 * alpha * 0.3)
 
 
 def test_bimetal_of_timoshenko():
@@ -98,8 +98,8 @@ def test_bimetal_of_timoshenko():
     curvature = (
         6 * (12e-6 - 19e-6) * change * (1 + m) ** 2 / (h * (3 * (1 + m) ** 2 + (1 + m * n) * (m**2 + 1 / (m * n))))
     )
-    found = displacements(body, mbd.Temperature(body, change))[body.mesh.node("right"), 2]
-    assert float(found) == pytest.approx(-curvature * L**2 / 2, rel=1e-6)
+    moved = displacements(body, mbd.Temperature(body, change))[body.mesh.node("right"), 2]
+    assert float(moved) == pytest.approx(-curvature * L**2 / 2, rel=1e-6)
     body.damped(0.5)
     ramp = held(body, mbd.Temperature(body, lambda t: change * (t / 0.5).clamp(max=1.0)))
     motion = mbd.simulate(ramp, 1.0, steps=60, backend="eager").require_ok()
@@ -142,10 +142,10 @@ def test_a_zone_that_becomes_warmer_pulls_the_other():
     }
     body = mbd.FlexibleBody("panel", mesh, plates, 2, reference="left", expansion=["upper", "lower"])
     assert len(body.expansion.loads) == 4
-    found = displacements(body, mbd.Temperature(body, 50.0, zone="upper"))
+    moved = displacements(body, mbd.Temperature(body, 50.0, zone="upper"))
     curvature = 1.5 * 12e-6 * 50.0 / (2 * b)  # of a step of the free strain over the depth 2 b: 3 / 2 strain / depth
     nodes = [int((mesh.nodes - tensor(x, 0.0, 0.0)).norm(dim=1).argmin()) for x in (-0.05, 0.0, 0.05)]
-    before, middle, behind = found[nodes]
+    before, middle, behind = moved[nodes]
     assert abs(float(before[1] - 2.0 * middle[1] + behind[1])) == pytest.approx(curvature * 0.05**2, rel=1e-2)
     assert float(behind[0] - before[0]) == pytest.approx(0.5 * 12e-6 * 50.0 * 0.1, rel=1e-2)
     both = displacements(body, mbd.Temperature(body, 50.0, zone="upper"), mbd.Temperature(body, 50.0, zone="lower"))
@@ -171,7 +171,7 @@ def test_a_bar_between_walls_is_pressed():
 
 
 def test_gradients_of_temperature_bend_a_beam():
-    """Of an L-shaped line off its nodes: kappa = alpha T1, so each leg is an arc; the twist turns the gradients."""
+    """The curvature is alpha times the gradient, so each leg of an L is an arc. The line lies off its nodes, and is twisted."""
     body = mbd.FlexibleBody.beam(
         "bar",
         mbd.BeamLine.straight(0.5, 2),
@@ -182,12 +182,12 @@ def test_gradients_of_temperature_bend_a_beam():
         offset=(0.01, -0.02),
         expansion=True,
     )
-    found = displacements(body, mbd.Temperature(body, 40.0, gradient=30.0, gradient_y=-20.0))[-1]
+    moved = displacements(body, mbd.Temperature(body, 40.0, gradient=30.0, gradient_y=-20.0))[-1]
     c, s = math.cos(0.3), math.sin(0.3)
     by_y, by_z = -20.0 * c - 30.0 * s, -20.0 * s + 30.0 * c  # along the axes of the beam
     middle = ALPHA * (40.0 - 0.01 * by_y + 0.02 * by_z)  # at the line, off the axis of the section
     expected = tensor(0.5 * middle, -ALPHA * by_y * 0.125, -ALPHA * by_z * 0.125)
-    assert_close(found[:3], expected, rtol=1e-6, atol=1e-15)
+    assert_close(moved[:3], expected, rtol=1e-6, atol=1e-15)
 
 
 def test_sections_of_plies_expand_as_laminates():
@@ -265,9 +265,9 @@ def test_a_warm_strip_between_walls_vibrates_as_a_beam(kind):
         laminate, ends = mbd.Laminate(STEEL, [0.0], SIDE[1]), {"tip": "right_edge"}
         return mbd.FlexibleBody.plate("strip", mesh, laminate, 5, reference="left_edge", interface=ends, **options)
 
-    found = shares(plate, -0.25, "left_edge", "tip")
+    measured = shares(plate, -0.25, "left_edge", "tip")
     expected = shares(lambda: bar(elements=12, modes=5, interface="end", **options), 0.0, "start", "end")
-    assert found == pytest.approx(expected, abs=4e-3)
+    assert measured == pytest.approx(expected, abs=4e-3)
     assert expected == pytest.approx(0.757, abs=2e-3)
 
 
@@ -333,7 +333,10 @@ def heated() -> mbd.System:
 
 @pytest.mark.thorough
 def test_gradients_forward_reverse_and_by_differences():
-    """Of displacements and ply stresses by angles, a coefficient, and both changes; the differences by compiled code."""
+    """Displacements and ply stresses are differentiated by angles, a coefficient and two changes.
+
+    Compiled code makes the differences.
+    """
     system = heated()
     names = ["rod.laminate.angles", "rod.laminate.ply.alpha2", "heat.temperature", "heat.gradient"]
     values = [system.get_parameter(name).detach().clone() for name in names]
@@ -378,11 +381,11 @@ def test_modes_without_the_shape_are_reported():
         body = mbd.FlexibleBody.plate("panel", mesh, laminate, 3, reference="left", expansion=expansion)
         hold = mbd.Fixed(GROUND.at(-0.1, 0, 0), body.at("left"))
         body.position.copy_(tensor(-0.1, 0.0, 0.0))
-        found = mbd.System([body], [hold], [mbd.Temperature(body, 10.0)]).static_truncation()
-        assert isinstance(found, StaticTruncation)
-        shares.append(found.share)
+        truncation = mbd.System([body], [hold], [mbd.Temperature(body, 10.0)]).static_truncation()
+        assert isinstance(truncation, StaticTruncation)
+        shares.append(truncation.share)
         if not expansion:
-            assert "deflection of body 'panel' under a change of temperature; better: expansion=True" in str(found)
+            assert "deflection of body 'panel' under a change of temperature; better: expansion=True" in str(truncation)
     assert shares[0] > 0.99
     assert abs(shares[1]) < 1e-9
 
@@ -453,8 +456,8 @@ def test_designs_of_one_batch_have_as_many_shapes_as_each_needs(first):
     system = held(body, mbd.Temperature(body, lambda t: 10.0 + 0.0 * t, moisture=0.001))
     designs = {"strip.laminate.angles": angles}
     motion = mbd.simulate(system, 1e-3, steps=2, backend="eager", start="equilibrium", designs=designs).require_ok()
-    found = motion.body("strip").at("right").position[:, -1, 0].detach() - 0.1
-    for x, design in zip(found, angles, strict=True):
+    shifts = motion.body("strip").at("right").position[:, -1, 0].detach() - 0.1
+    for x, design in zip(shifts, angles, strict=True):
         free = mbd.Laminate(CARBON, design, 0.25e-3, symmetric=True).expansion(10.0, 0.0, 0.001)
         assert float(x) == pytest.approx(0.2 * float(free.strain[0]), rel=1e-6)
 

@@ -71,7 +71,10 @@ class AbaqusFile:
         for name in set(self.elsets) - {""}:
             if name in self._sets:
                 raise InputError(
-                    (name,), allowed="in one of both", noun=f"ELSET {name!r}", state="stands in *ELEMENT and in *ELSET"
+                    ("ELSET", name),
+                    allowed="in one of both",
+                    noun=f"ELSET {name!r}",
+                    state="stands in *ELEMENT and in *ELSET",
                 )
             blocks = zip(self.elsets, source.cells, strict=True)
             source.cell_sets[name] = [np.arange(len(cells.data) if elset == name else 0) for elset, cells in blocks]

@@ -32,7 +32,11 @@ def zone_parts(
             raise unknown("zone", name, zones)
         if not name.isidentifier():
             raise InputError(
-                (name,), allowed="a Python identifier", noun=f"zone {name!r}", state="becomes part of parameter names"
+                ("zones", name),
+                name,
+                "a Python identifier",
+                noun=f"zone {name!r}",
+                state="becomes part of parameter names",
             )
         count[zones[name]] += 1
         parts[name] = Plates(mesh, layup, direction, zones[name], mass)

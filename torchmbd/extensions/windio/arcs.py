@@ -53,7 +53,7 @@ class LayerArcs:
             return span_values(f"{side}_nd_arc of {name}", arc)(position)
         if "width" not in layer or depth > len(self._layers):
             raise InputError(
-                (name,),
+                ("layers", name),
                 allowed="start_nd_arc and end_nd_arc, or one and width",
                 noun=f"layer {name!r}",
                 state=f"has no {side}_nd_arc",

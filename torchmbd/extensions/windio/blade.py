@@ -258,7 +258,7 @@ def _clipped(name: str, position: float, start: float, end: float) -> tuple[floa
     start, end = max(start, 0.0), min(end, 1.0)
     if not start < end:
         raise InputError(
-            (name,),
+            ("layers", name),
             allowed="0 to 1",
             noun=f"layer {name!r}",
             state=f"at {position:g} lies from {start:g} to {end:g}, beyond the contour",

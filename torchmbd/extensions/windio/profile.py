@@ -130,7 +130,7 @@ def profile_section(
         if low < 0.0 or high > 1.0:
             low, high = profile.from_middle(low), profile.from_middle(high)
             raise InputError(
-                (web.name,),
+                ("webs", web.name),
                 allowed="0 to 1, with its thickness",
                 noun=f"web {web.name!r}",
                 state=f"reaches from {low:.4f} to {high:.4f} of the contour",
@@ -166,7 +166,7 @@ def _require_room(web: Web, wall: list[Patch], group: list[Patch], order: int) -
         patch_mesh([*wall, *group], order)
     except InputError as error:
         raise InputError(
-            (web.name,),
+            ("webs", web.name),
             allowed="from one side to the other",
             noun=f"web {web.name!r}",
             state=f"from {web.start:.4f} to {web.end:.4f} of the contour has no room between the walls "
@@ -313,7 +313,7 @@ def _web_patches(web: Web, feet: tuple[Array, Array], s: Array, faces: list[Arra
         down = [columns[round(float(x), 9)] for x in feet[1]]
     except KeyError:
         raise InputError(
-            (web.name,),
+            ("webs", web.name),
             allowed="webs apart",
             noun=f"web {web.name!r}",
             state=f"at {web.start:.4f} and {web.end:.4f} of the contour meets others there",

@@ -221,4 +221,6 @@ class NodeCloud(Mesh):
         for name, members in {"lines": self.lines.flatten().tolist(), **self.node_sets}.items():
             for k in members:
                 if not 0 <= k < len(nodes):
-                    raise InputError((name,), allowed=f"0 to {len(nodes) - 1}", noun=repr(name), state=f"has node {k}")
+                    raise InputError(
+                        ("node_sets", name), k, f"0 to {len(nodes) - 1}", noun=repr(name), state=f"has node {k}"
+                    )

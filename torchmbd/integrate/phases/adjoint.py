@@ -8,9 +8,9 @@ A segment of a lane is three maps, each the discrete one that was integrated:
 
 The entry of the first segment is the initial state; the last segment has no exit.
 Entry and exit are graphs of torch of all lanes, each at its own time, made again from what was recorded (`PhaseRecord`);
-steps of other sizes are differentiable by the implicit function theorem (`step_to` of variable_step.py). An `AdjointSolver`
-takes back the regular steps of all lanes with the same points together. Where an event ends a segment, the size h of the last
-step is that at which its function g vanishes:
+steps of other sizes are differentiable by the implicit function theorem (`step_to` of variable_step.py). One `AdjointSolver`
+serves all lanes whose regular steps begin and end at the same points. If an event ends a segment, its function g vanishes at
+the end of the last step, which determines the size h of this step:
 
     mu = -(cotangent of h) / g_h        cotangents of x and b: mu g_x', mu g_b'
 
@@ -99,7 +99,7 @@ class _Start(NamedTuple):
 
 @dataclass(eq=False)
 class RunAdjoint:
-    """The adjoint of some lanes of a run, of values only. What does not depend on the cotangents is kept from call to call.
+    """The adjoint of some lanes of a run without design tangents. Its solvers are kept for further calls.
 
     names    of data by which gradients are wanted
     lanes    of the run that are taken back
@@ -249,7 +249,7 @@ class RunAdjoint:
                 total[..., group] = x.movedim(-2, 0).unsqueeze(-2)
 
     def _left_out(self, record: PhaseRecord) -> Condensation | None:
-        """What the states of the run have besides those of the steps of a segment; None: they are the same."""
+        """The condensation that leads from states of the run to states of the steps; None: both are the same."""
         return None if record.condensed is self.run.recorded else record.condensation
 
     def _rows_of_steps(self, record: PhaseRecord) -> list[int] | None:

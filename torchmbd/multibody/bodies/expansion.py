@@ -119,11 +119,11 @@ class Expansion:
 
     def shapes(self, zones: Zones) -> StaticShapes | None:
         """The static shapes of zones: True: the whole body as one; False: none. Changes without coefficients have none."""
-        given: list[str | bool] = zone_list(zones) if isinstance(zones, (bool, str, list, tuple)) else [False]
-        if any(x is False or not isinstance(x, (bool, str)) or given.count(x) > 1 for x in given):
+        wanted: list[str | bool] = zone_list(zones) if isinstance(zones, (bool, str, list, tuple)) else [False]
+        if any(x is False or not isinstance(x, (bool, str)) or wanted.count(x) > 1 for x in wanted):
             allowed = "True, False, or names of parts of the body, each once; True among them is the whole body"
             raise InputError((self.name, "expansion"), zones, allowed, noun=f"expansion of {self.name!r}")
-        chosen = [x if isinstance(x, str) else None for x in given]
+        chosen = [x if isinstance(x, str) else None for x in wanted]
         if not chosen:
             return None
         self.loads, refused = [], []

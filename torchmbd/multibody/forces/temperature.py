@@ -110,8 +110,8 @@ class Temperature(ForceElement):
             (body.at(body.reference[0]),), name or "_".join(["temperature", body.name, *([zone] if zone else [])])
         )
         self.body, self.zone = body, zone
-        given = {"temperature": temperature, "gradient": gradient, "gradient_y": gradient_y, "moisture": moisture}
-        self.changes = {key: x for key, x in given.items() if isinstance(x, Tensor) or callable(x) or x != 0.0}
+        amounts = {"temperature": temperature, "gradient": gradient, "gradient_y": gradient_y, "moisture": moisture}
+        self.changes = {key: x for key, x in amounts.items() if isinstance(x, Tensor) or callable(x) or x != 0.0}
         for change in self.changes:
             if change not in known:
                 raise InputError(
