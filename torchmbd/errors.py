@@ -212,16 +212,11 @@ class LoadWarning(UserWarning):
 
 
 _kinds: ContextVar[set[str] | None] = ContextVar("kinds", default=None)  # of warnings, inside `warnings_once`
-_held: ContextVar[list[tuple[str, type[Warning]]] | None] = ContextVar("held", default=None)  # inside `warnings_held`
 _NUMBER = re.compile(r"(?<!\w)[-+]?\d[\d.,]*(?:e[-+]?\d+)?")  # not of a name: part_0 and part_1 are two bodies
 
 
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn of something at the line outside of torchmbd (and torch and scipy, which call it back) that led to it."""
-    held = _held.get()
-    if held is not None:
-        held.append((text, category))
-        return
     kinds = _kinds.get()
     if kinds is not None:
         kind = _NUMBER.sub("#", text)
@@ -232,17 +227,6 @@ def warn(text: str, category: type[Warning] = UserWarning) -> None:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INSIDE:
         frame, level = frame.f_back, level + 1
     warnings.warn(text, category, stacklevel=level)
-
-
-@contextmanager
-def warnings_held() -> Iterator[list[tuple[str, type[Warning]]]]:
-    """Keep the warnings of torchmbd inside in a list of arguments of `warn`: a thread does not know the line of the user."""
-    held: list[tuple[str, type[Warning]]] = []
-    token = _held.set(held)
-    try:
-        yield held
-    finally:
-        _held.reset(token)
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """How a process of torchmbd uses the machine: threads, a folder for what serves all processes, brief warnings.
 
-An operator of torch uses one thread. Compiled code and groups of designs (math/threads.py) share `thread_count()` threads, and
-give the same bits with any number.
+An operator of torch uses one thread. Compiled code and modes of groups of designs (math/threads.py) share `thread_count()`
+threads, and give the same bits with any number.
 Checked in tests/test_process.py, tests/extensions/native/test_threads.py.
 """
 
@@ -86,10 +86,9 @@ class threads:
 
     Without `threads` the environment variable TORCHMBD_THREADS states the number. Without this variable it is the number of
     cores that this process may use. Workers have one thread unless TORCHMBD_THREADS is set. Results have the same bits with
-    any number. Threads share groups of at least 32 designs of `problem.evaluate`, steps of native code, and modes with their
-    derivatives. Other operators of torch run in one thread, and so do steps if native code calls a law in Python. A problem
-    with classes or functions of a user evaluates its groups in one thread. `motion.stats["threads"]` is the number of
-    threads of the steps. Raises InputError unless `count` is a whole number, 1 or more.
+    any number. Threads share steps of native code and their adjoint, and modes with their derivatives. Other operators of
+    torch run in one thread, and so do steps if native code calls a law in Python. `motion.stats["threads"]` is the number
+    of threads of the steps. Raises InputError unless `count` is a whole number, 1 or more.
 
     >>> with mbd.threads(2):
     ...     motion = mbd.simulate(mbd.examples.pendulum(), 0.1, steps=20)

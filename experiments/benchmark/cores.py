@@ -3,13 +3,10 @@
 cores_ratio    32 designs: wall time with one thread over wall time with two
 cores_serial   128 designs, one thread: processor time outside of what threads share, over all processor time
 
-    1 / gain of n threads = serial + within / min(n, groups) + (1 - serial - within) / n
+    1 / gain of n threads = serial + (1 - serial) / n
 
-    within   share of the time that one thread of a group takes for itself: calls of Python, operators of torch
-
-Shares depend less on other load of the machine than the ratio does. Calls of Python of different groups exclude each other,
-which the prediction leaves out: the evaluation of one design shows how long they take. Runs
-with one and two threads take turns, and so do those with one process and two, each of which evaluates its share of the designs.
+The share depends less on other load of the machine than the ratio does. Runs with one and two threads take turns, and so do
+those with one process and two, each of which evaluates its share of the designs.
 """
 
 from __future__ import annotations
@@ -28,7 +25,6 @@ import numpy as np
 import torchmbd as mbd
 from experiments.benchmark.cases import Case, compilation, compiled_ready, crank3
 from experiments.benchmark.report import Grid, Result, Settings
-from torchmbd.design.thread_copies import design_groups
 from torchmbd.process import use_one_thread
 
 DESIGNS, FIGURE, SERIAL, STEPS = (32, 128), 32, 128, 500
@@ -53,7 +49,7 @@ def cores(settings: Settings) -> Result:
             X = case.designs(lanes)[ANGLES].numpy()
             problem = _problem(case)
             with mbd.threads(1):
-                serial, within = _shares(problem, X, REPEAT)
+                serial = _serial_share(problem, X, REPEAT)
             one, two, processes = _wall_times(
                 [
                     lambda problem=problem, X=X: _with_threads(1, problem, X),
@@ -62,25 +58,16 @@ def cores(settings: Settings) -> Result:
                 ],
                 REPEAT,
             )
-            groups = len(design_groups(X))
-            gains = [1.0 / (serial + within / min(n, groups) + (1.0 - serial - within) / n) for n in (2, MANY)]
+            gains = [1.0 / (serial + (1.0 - serial) / n) for n in (2, MANY)]
             rows.append(
-                [
-                    lanes,
-                    *(1e3 * x / lanes for x in (one, two, processes)),
-                    one / two,
-                    one / processes,
-                    serial,
-                    within,
-                    *gains,
-                ]
+                [lanes, *(1e3 * x / lanes for x in (one, two, processes)), one / two, one / processes, serial, *gains]
             )
             if lanes == FIGURE:
                 figures["cores_ratio"] = one / two
             if lanes == SERIAL:
                 figures["cores_serial"] = serial
     columns = ["designs", "one thread", "two threads", "two processes", "gain by threads", "by processes"]
-    columns += ["serial share", "within groups", "predicted, 2 cores", f"{MANY} cores"]
+    columns += ["serial share", "predicted, 2 cores", f"{MANY} cores"]
     load = os.getloadavg()[0]
     title = f"evaluation with gradients, wall ms per design; load of the machine at the end {load:.1f}"
     return Result(figures, [Grid(title, columns, rows)])
@@ -117,37 +104,35 @@ def _wall_times(functions: list[Callable[[], object]], repeat: int) -> list[floa
     return [min(times) for times in seconds]
 
 
-def _shares(problem: mbd.Problem, X: np.ndarray, repeat: int) -> tuple[float, float]:
-    """Shares of the processor time outside of pieces, and in groups of designs outside of their pieces; of the fastest run."""
+def _serial_share(problem: mbd.Problem, X: np.ndarray, repeat: int) -> float:
+    """Share of the processor time outside of pieces of blocks, of the run that takes the least."""
     runs = []
-    with _clock() as inside:
+    with _clock() as shared:
         problem.evaluate(X, True)
         for _ in range(repeat):
-            inside[:], start = [0.0, 0.0], time.thread_time()
+            shared[0], start = 0.0, time.thread_time()
             problem.evaluate(X, True)
             whole = time.thread_time() - start
-            in_groups = inside[0] - inside[1] if len(design_groups(X)) > 1 else 0.0
-            runs.append((whole, 1.0 - inside[0] / whole, in_groups / whole))
-    return min(runs)[1:]
+            runs.append((whole, 1.0 - shared[0] / whole))
+    return min(runs)[1]
 
 
 @contextmanager
 def _clock() -> Iterator[list[float]]:
-    """Processor seconds of the calling thread inside of `run_blocks`, and inside of such a piece, which one thread runs."""
-    inside, modules = [0.0, 0.0], [import_module(name) for name in _SHARED]
+    """Processor seconds of the calling thread inside of `run_blocks`, which one thread runs."""
+    shared, modules = [0.0], [import_module(name) for name in _SHARED]
     real, depth = modules[0].run_blocks, [0]
 
     def timed(*arguments: Any, **options: Any) -> int:
-        start, level = time.thread_time(), depth[0]
-        depth[0] += 1
+        start, depth[0] = time.thread_time(), depth[0] + 1
         try:
             return real(*arguments, **options)
         finally:
             depth[0] -= 1
-            if level < len(inside):
-                inside[level] += time.thread_time() - start
+            if depth[0] == 0:  # not of a piece that shares its own work
+                shared[0] += time.thread_time() - start
 
     with ExitStack() as patches:
         for module in modules:
             patches.enter_context(patch.object(module, "run_blocks", timed))
-        yield inside
+        yield shared

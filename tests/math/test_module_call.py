@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import threading
-
 import pytest
 import torch
 from torch import Tensor, nn
 
-from torchmbd.math.module_call import apart, call_module, exclusive
+from torchmbd.math.module_call import call_module, exclusive
 
 
 class Power(nn.Module):
@@ -76,24 +74,3 @@ def test_what_is_exclusive_has_one_thread_of_torch_and_restores_their_number():
 def test_a_number_of_threads_in_the_environment_holds(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     assert exclusive(torch.get_num_threads)() == 2
-
-
-def test_threads_with_modules_of_their_own_do_not_wait_for_the_thread_that_waits_for_them():
-    answers: list[int] = []
-
-    @exclusive
-    def answer() -> None:
-        answers.append(1)
-
-    def work() -> None:
-        with apart():
-            answer()
-
-    @exclusive
-    def with_another_thread() -> None:
-        thread = threading.Thread(target=work)
-        thread.start()
-        thread.join(timeout=5.0)
-
-    with_another_thread()
-    assert answers == [1]

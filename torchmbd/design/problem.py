@@ -40,7 +40,6 @@ from torchmbd.design.problem_parts import (
 )
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
-from torchmbd.design.thread_copies import in_groups
 from torchmbd.design.words import names_of_rows
 from torchmbd.errors import InputError, SimulationFailure, argument_names, keyword_hints
 from torchmbd.fem.reduction import CutCluster
@@ -337,25 +336,20 @@ class Problem(Summary):
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n]; return an Evaluation for each, with a status that says whether the design failed.
 
-        Threads share groups of at least 32 designs (thread_copies.py). Designs whose motions would fill a large part of the
-        memory are evaluated in several batches.
+        They are one simulation, or several batches if their motions would fill a large part of the memory.
         """
         X = self._checked(X, len(self.names))
         batch = max(1, self._lanes_at_once(gradients) // self.simulations) if len(X) > 1 else 1
         if len(X) > batch:
             return [e for k in range(0, len(X), batch) for e in self.evaluate(X[k : k + batch], gradients)]
-        return in_groups(self, partial(type(self)._evaluate_group, gradients=gradients), X)
-
-    def _evaluate_group(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        """Evaluate designs [lanes, n] as one simulation."""
         try:
             motions = self._motions(X, gradients)
         except CutCluster as error:  # names its lanes, so that the other designs remain one batch
             if len(X) == 1:
                 return [Evaluation.failure(f"failed: {error}", self.rows)]
-            failed = {lane: self._evaluate_group(X[lane : lane + 1], gradients)[0] for lane in error.lanes}
+            failed = {lane: self.evaluate(X[lane : lane + 1], gradients)[0] for lane in error.lanes}
             rest = [lane for lane in range(len(X)) if lane not in failed]
-            evaluations = dict(zip(rest, self._evaluate_group(X[rest], gradients), strict=True)) if rest else {}
+            evaluations = dict(zip(rest, self.evaluate(X[rest], gradients), strict=True)) if rest else {}
             return [failed[lane] if lane in failed else evaluations[lane] for lane in range(len(X))]
         except (InputError, SimulationFailure) as error:
             return self._refused(X, gradients, self._refusal(X, gradients, error) if len(X) == 1 else "")
@@ -376,7 +370,7 @@ class Problem(Summary):
         """Evaluations where the structure stage or a measure refuses some design: each design alone shows which."""
         if len(X) == 1:
             return [Evaluation.failure(status, self.rows)]
-        return [evaluation for x in X for evaluation in self._evaluate_group(x[None], gradients)]
+        return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
 
     def _refusal(self, X: np.ndarray, gradients: bool, error: Exception) -> str:
         """The status of a design [1, n] that the structure stage refuses with `error`."""

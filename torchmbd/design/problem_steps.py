@@ -100,7 +100,7 @@ def problem_steps(problem: Any) -> int | None:
     """Steps of every motion of a problem: as given, else as many as the initial design needs (`steps_for`).
 
     All designs have the same: a criterion that changes its number of steps with the design is not smooth. None: the initial
-    design cannot be simulated, and each group of designs chooses (thread_copies.py).
+    design cannot be simulated, and each batch of designs chooses.
     """
     if problem.simulation.steps:
         return problem.simulation.steps

@@ -1,13 +1,12 @@
 """Forward mode of torch, for one thread at a time: its level is a global of the process.
 
-The package calls these functions, and not those of torch.func, so that threads can evaluate designs (module_call.apart).
-f may call exclusive functions: their lock is taken first, so that no two threads wait for each other.
+The package calls these functions, and not those of torch.func. They take the lock of exclusive functions (module_call.py), which
+f may call: a lock of their own would let two threads wait for each other.
 Checked in tests/math/test_forward_mode.py.
 """
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -15,12 +14,10 @@ import torch
 
 from torchmbd.math.module_call import alone
 
-_LOCK = threading.RLock()
-
 
 def jvp(f: Callable[..., Any], primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> Any:
     """Return f(*primals) and its derivative along the tangents, as torch.func.jvp does."""
-    with alone(), _LOCK:
+    with alone():
         return torch.func.jvp(f, primals, tangents)
 
 
@@ -29,7 +26,7 @@ def jacfwd(f: Callable[..., Any], argnums: int = 0) -> Callable[..., Any]:
     jacobian = torch.func.jacfwd(f, argnums=argnums)
 
     def of_one_thread(*args: Any) -> Any:
-        with alone(), _LOCK:
+        with alone():
             return jacobian(*args)
 
     return of_one_thread

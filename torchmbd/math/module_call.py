@@ -5,7 +5,6 @@ two bodies share, the new value remains (torch 2.13). `call_module` replaces eve
 
 Parameters are replaced in place, and torch.func keeps its transforms in globals of the process: functions that use either are
 `exclusive`, run by one thread at a time. Their operators of torch use one thread, too: two make them 2 to 50 times slower.
-Threads of one evaluation, each with its own copy of all modules, run them at once (`apart`).
 
 Under a transform of torch.func every new tensor is wrapped, also one that is not differentiated: code that keeps tensors, or
 reads their memory, is run by `outside_transforms`. What is computed once and kept is none of the tensors that the calling graph
@@ -31,15 +30,11 @@ from torchmbd.process import one_thread
 P = ParamSpec("P")
 R = TypeVar("R")
 _LOCK = threading.RLock()
-_thread = threading.local()  # apart: whether this thread has modules of its own
 
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """Keep other threads out of exclusive functions, and operators of torch in one thread; threads `apart` keep none out."""
-    if getattr(_thread, "apart", False):
-        yield
-        return
+    """Keep other threads out of exclusive functions, and operators of torch in one thread."""
     with _LOCK, one_thread():
         yield
 
@@ -62,19 +57,6 @@ def exclusive(f: Callable[P, R]) -> Callable[P, R]:
 
     locked._torchdynamo_disable = True  # pyright: ignore[reportAttributeAccessIssue]
     return locked
-
-
-@contextmanager
-def apart() -> Iterator[None]:
-    """Run exclusive functions of this thread at once, on modules that no other thread has.
-
-    Another thread, which waits for this one inside an exclusive function, keeps all further threads out.
-    """
-    _thread.apart = True
-    try:
-        yield
-    finally:
-        _thread.apart = False
 
 
 @exclusive

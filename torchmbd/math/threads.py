@@ -99,11 +99,8 @@ def lane_groups(lanes: int) -> list[slice]:
     return [slice(begin, end) for begin, end in pairwise(ends)]
 
 
-def map_threads(function: Callable[..., Result], *sequences: Sequence[Any], threads: int | None = None) -> list[Result]:
-    """Return [function(x, y, ...)] of the members of sequences, which threads share; torch records no derivatives inside.
-
-    threads   at most so many, as in `run_blocks`
-    """
+def map_threads(function: Callable[..., Result], *sequences: Sequence[Any]) -> list[Result]:
+    """Return [function(x, y, ...)] of the members of sequences, which threads share; torch records no derivatives inside."""
     arguments = list(zip(*sequences, strict=True))
     results: list[Any] = [None] * len(arguments)
     inference = torch.is_inference_mode_enabled()  # a thread has its own mode
@@ -113,5 +110,5 @@ def map_threads(function: Callable[..., Result], *sequences: Sequence[Any], thre
             for k in range(begin, end):
                 results[k] = function(*arguments[k])
 
-    run_blocks(run, len(arguments), threads)
+    run_blocks(run, len(arguments))
     return results

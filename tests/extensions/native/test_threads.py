@@ -13,7 +13,6 @@ from torch import Tensor
 import torchmbd as mbd
 from tests.extensions.native.test_feedback import branching, sprung
 from tests.mechanisms import pendulum, spoilt
-from torchmbd.design import thread_copies
 from torchmbd.examples.slider_crank import build
 from torchmbd.math import threads
 
@@ -70,26 +69,6 @@ def test_motions_and_gradients(team: set[int], gradients: str) -> None:
 
     with_each_count(run)
     assert max(team) > 1
-
-
-@pytest.mark.thorough
-def test_evaluations_in_groups(team: set[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three groups: more than two threads have, and each group has native steps and modes of its own."""
-    monkeypatch.setattr(thread_copies, "LEAST", 5)
-    energy = mbd.StrainEnergy("rod")
-    system, objective, limits = build(3, cells=(6, 2), modes=3), mbd.Integral(energy), mbd.Max(energy) <= 1.0
-    problem = mbd.Problem(system, 0.002, objective, limits, variables=[ROD], steps=30, gradients="reverse")
-    X = torch.cat([ANGLES, ANGLES[:4] + 0.01]).numpy()
-    assert all(evaluation.ok for evaluation in problem.evaluate(X, True))  # the first batch has one thread
-
-    def run() -> list[Tensor]:
-        evaluations = problem.evaluate(X, True)
-        return [
-            torch.tensor(x) for e in evaluations for x in (e.objective, e.objective_gradient, e.constraint_gradients)
-        ]
-
-    with_each_count(run)
-    assert len(thread_copies._known[problem].copies) == 2
 
 
 @pytest.mark.thorough

@@ -6,7 +6,6 @@ Checked in tests/fem/reduction/test_latest.py.
 
 from __future__ import annotations
 
-import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
@@ -23,23 +22,20 @@ class Latest(Generic[Result]):
     """The results of the last `BODIES` questions of different keys."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()  # threads of one evaluation ask at once
         self._kept: OrderedDict[Hashable, tuple[tuple[Tensor, ...], Result]] = OrderedDict()
 
     def __call__(self, key: Hashable, numbers: tuple[Tensor, ...], result: Callable[[], Result]) -> Result:
         """Return what is kept for a key and equal numbers [lane, ...], else `result()`; several lanes are not kept."""
         if any(len(x) > 1 for x in numbers):
             return result()
-        with self._lock:
-            before, kept = self._kept.get(key, ((), None))
-            if kept is not None and all(map(torch.equal, before, numbers)):
-                return kept
-            self._kept.pop(key, None)
+        before, kept = self._kept.get(key, ((), None))
+        if kept is not None and all(map(torch.equal, before, numbers)):
+            return kept
+        self._kept.pop(key, None)
         del kept  # memory for what is made
         made = result()
-        with self._lock:
-            self._kept[key] = tuple(x.detach().clone() for x in numbers), made
-            self._kept.move_to_end(key)
-            while len(self._kept) > BODIES:
-                self._kept.popitem(last=False)
+        self._kept[key] = tuple(x.detach().clone() for x in numbers), made
+        self._kept.move_to_end(key)
+        while len(self._kept) > BODIES:
+            self._kept.popitem(last=False)
         return made
