@@ -1,7 +1,7 @@
 """Forward mode of torch, for one thread at a time: its level is a global of the process.
 
-The package calls these functions, and not those of torch.func. They take the lock of exclusive functions (module_call.py), which
-f may call: a lock of their own would let two threads wait for each other.
+The package calls these functions, and not those of torch.func. They take the lock of exclusive functions (module_call.py),
+which f may call: with a lock of their own two threads could wait for each other.
 Checked in tests/math/test_forward_mode.py.
 """
 
