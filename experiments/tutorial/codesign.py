@@ -2,8 +2,8 @@
 
 A motor turns the arm by a quarter turn in 0.4 s. Its torque comes from a PD law and a neural network beside it, which read the
 angle and the rate of the hinge and the time. The loss is the mean square distance of the tool from its goal after the move.
-One `backward()` gives the gradient by 9,795 weights and by the angles of two plies; the cost of the adjoint does not depend on
-their number.
+One `backward()` gives the gradient with respect to 9,795 weights and the angles of two plies. The cost of the adjoint does not
+depend on their number.
 
 The table shows the distance in millimeters; two files show the motion before and after. 28 iterations take some minutes.
 Checked in tests/experiments/test_codesign.py.
