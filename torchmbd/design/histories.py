@@ -212,7 +212,8 @@ class Acceleration(Position):
 
 @dataclass(frozen=True)
 class RelativeDisplacement(History):
-    """Elastic displacement of node a less that of node b [lanes, times] [m]: along z of a plate the local torsion, eq. (38).
+    """Elastic displacement of node a minus the displacement of node b [lanes, times] [m]. For a plate, axis="z" gives the
+    local torsion, eq. (38).
 
     body  the flexible body
     a, b  its nodes, by name or index

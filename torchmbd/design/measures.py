@@ -162,7 +162,8 @@ PEAK_NOTE = (
 class Max(OfHistory):
     """Largest value of a history [lanes], in its unit; eq. (18). A spline finds the peak between the output times.
 
-    Where two peaks are equally high, the gradient is their mean, to rounding that of one of them. `AtPeaks` keeps both.
+    Where two peaks are exactly equal, the gradient is the mean of both gradients. If rounding makes them differ, it is the
+    gradient of one of them. `AtPeaks` keeps both peaks.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(speed=1.0), 1.0, steps=40)
     >>> top = mbd.Max(mbd.Position("bob", "y"))
@@ -322,12 +323,13 @@ class Frequencies(Measure):
 
     body      its name
     cluster   numbers of the modes, as (2, 3); 1 is the lowest, up to the number of retained modes
-    power     1: root of the mean square; large and negative: nearly the lowest frequency; large and positive: nearly the
-              highest [-]
+    power     1: root mean square; a large negative number: close to the lowest frequency; a large positive number: close to
+              the highest frequency [-]
     supports  as of Frequency
 
     The mean is differentiable where frequencies of the cluster cross or coincide.
-    Where one of them coincides with a mode outside the cluster, the gradient is a subgradient, as of `Frequency`.
+    Where a frequency of the cluster coincides with a frequency outside, the gradient is only a subgradient, as for
+    `Frequency`.
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
     >>> low, high = (mbd.Frequency("arm", k)(motion) for k in (1, 2))

@@ -81,7 +81,8 @@ class Problem(Summary):
     gradients   "reverse" or "forward", as in `simulate`; "auto": the cheaper one by an estimate (gradient_mode.py), forward
                 where the method has no adjoint. `problem.gradients` is the choice
     steps       equal steps of all motions; None: as many as the start needs (problem_steps.py)
-    tolerance   error by steps of every response, as a share of it or of its limit, that chosen steps may have; None: any
+    tolerance   largest error due to time steps that each response may have if `steps` is None, as a share of its size or of
+                its distance from the limit; None: the errors are not limited
     method, phases, backend, options   as in `simulate`
 
     >>> problem = mbd.Problem(

@@ -208,11 +208,15 @@ class Measure(ConstantArguments):
         return all(measure.natural_zero for measure in self.operands)
 
     def size(self, motion: Trajectory) -> Tensor:
-        """The size of the value, or its change without a natural zero: neither origin nor an added constant changes it."""
+        """The size of the value, or of its change if zero does not have a meaning. The origin and added constants do not
+        matter.
+        """
         return (self.value(motion).detach() if self.natural_zero else self.change(motion)).abs()
 
     def change(self, motion: Trajectory) -> Tensor:
-        """By how much the value follows from the motion, of the shape of the value; of a measure of the design the value."""
+        """The part of the value that depends on the motion, in the shape of the value. For a measure of the design it is the
+        value itself.
+        """
         return self.value(motion).detach()
 
     def __add__(self, other: Any) -> Measure:

@@ -184,8 +184,8 @@ class Scenarios(Problem):
     def largest(self, x: np.ndarray) -> str:
         """Name of the scenario in which the objective of a design [n] is largest; a motion that fails counts least.
 
-        Where the objective is the same in several, as a mass is, it is the one of these that is nearest to a limit or
-        farthest beyond it.
+        If several scenarios have the same objective, for example a mass, the result is the scenario among these that is
+        nearest to its limit, or farthest beyond it.
         """
         motions = self.motions_by_system(x)
         # [scenarios, rows].
@@ -213,7 +213,9 @@ class Scenarios(Problem):
         return excesses
 
     def simulate(self, X: np.ndarray, gradients: bool = False, scenario: str | None = None) -> Trajectory:
-        """Motions of designs [lanes, n] in one scenario; None: in the one where the objective of the last is largest."""
+        """Motions of designs [lanes, n] in one scenario. With None it is the scenario in which the last design has the
+        largest objective.
+        """
         X = self._checked(X, len(self.space.names), len(self.names))
         name = self.largest(X[-1]) if scenario is None else scenario
         if name not in self.scenarios:

@@ -53,7 +53,7 @@ class Round(NamedTuple):
 def sharpen(
     problem: Problem, method: str = "mma", tolerance: float = 0.01, max_rounds: int = 6, **options: Any
 ) -> list[Round]:
-    """Optimize with growing sharpness of the aggregates; return all rounds, of which the last has the result.
+    """Optimize several times with increasing sharpness of the aggregates. Return all rounds; the last round has the result.
 
     problem     whose objective or constraints contain an Aggregate
     method      of `optimize`

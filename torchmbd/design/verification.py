@@ -49,9 +49,9 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
 
     result  of `optimize` or `multistart`, of a Problem, Scenarios or RobustProblem
 
-    Its `verified` tells it, `status` why not and what to do. Printed, it has the objective, every constraint, mass and first
-    frequencies of start and best, with their estimated errors. A study does this at its end.
-    Raises InputError for a result without a feasible design, and for other problems.
+    The result has `verified` (True or False) and `status`, which gives the reason and advice. Its text has the objective,
+    every constraint, the mass and the first frequencies of the start design and the best design, with estimated errors. A
+    study calls this function at its end. Raises InputError for a result without a feasible design, and for other problems.
 
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Integral(mbd.StrainEnergy("arm")), steps=40)
     >>> verification = mbd.verify(mbd.optimize(problem, max_iterations=2))

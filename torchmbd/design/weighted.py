@@ -24,8 +24,9 @@ class WeightedSum(Total):
     """Weighted sum of measures [lanes]; eq. (38).
 
     terms      (weight, measure) pairs, at least one
-    normalize  what each measure is divided by: "initial", the size of its value at the initial design (the sum has no unit
-               then); one positive number for each, in the unit of its measure; None: nothing, weights carry the units
+    normalize  "initial": each measure is divided by the size of its value at the initial design, and the sum does not have a
+               unit; or one positive divisor for each measure, in its unit; None: measures are not divided, and the weights
+               have units
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
     >>> both = mbd.WeightedSum([(0.5, mbd.Mass("arm")), (0.5, mbd.Mass("tool"))], normalize=None)

@@ -19,11 +19,12 @@ _BEAMDYN = [2, 0, 1, 5, 3, 4]
 
 
 def read_beamdyn(path: str | Path) -> SectionTable:
-    """A SectionTable of the stations of a BeamDyn blade file: their axes (z along the blade) become ours (x along the beam).
+    """Return a SectionTable of the stations of a BeamDyn blade file, with axes converted from z along the blade to x along
+    the beam.
 
     path   the blade file, named by BldFile of a primary input file
 
-    The twist stands in the primary file. BeamDyn turns its sections about -z, so a beam with this table takes
+    The primary file contains the twist. BeamDyn turns its sections about -z, so a beam with this table takes
     `twist=-mbd.deg(initial_twist)`.
     Raises InputError that names file and line.
 

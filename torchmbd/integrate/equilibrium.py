@@ -61,7 +61,8 @@ def of_equilibrium(name: str) -> Callable[..., Any]:
 class Equilibrium(Trajectory):
     """A motion at rest at each of its times. Like any motion it has coordinates, bodies, reactions and stresses.
 
-    Frequencies are those of vibrations about the state at the last time. `rotation`: of the whole, None at rest.
+    Its frequencies belong to small vibrations about the state at the last time. `rotation` is the steady rotation of the
+    whole system; None at rest.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     >>> rest.q.shape, rest.reaction("hinge").force[0, 0].norm().item() > 0.0  # lanes, times, coordinates
@@ -80,8 +81,8 @@ class Equilibrium(Trajectory):
     def frequencies(self) -> Tensor:
         """Natural frequencies [lanes, freedoms] [Hz] at the last time, without damping; see Vibrations.
 
-        Differentiable as the motion is. Frequencies that are zero or not a number have no derivative, nor has a single one of
-        several that coincide: InputError.
+        Differentiable like the motion. A derivative of a frequency that is zero or nan, or of a single frequency of several
+        that coincide, raises InputError.
         """
         return self._eigenvalues("natural") / (2.0 * math.pi)
 

@@ -70,8 +70,9 @@ def optimize(
     max_iterations   accepted designs at most
     scaling          measure variables by |start|, and the objective by its value and change there (units.py)
     callback         called with every accepted Iterate
-    feasibility      violation of a constraint that still counts as none [-]
-    eager_gradients  ask for gradients together with all values (a simulation saved per iteration), not afterwards
+    feasibility      largest violation of a constraint that still counts as feasible [-]
+    eager_gradients  True: compute gradients together with every value, which saves one simulation per iteration; False:
+                     compute them later, only where the method needs them
     max_analyses     simulations at most; None: any number
     max_time         limit of time [s]: no simulation begins after it, and the best design by then is the result, with the
                      status "max_time"; None: no limit

@@ -86,7 +86,9 @@ class Trajectory(MotionData):
         return self._kept(factor, lambda: self.repetition.finer(factor))
 
     def coarser(self) -> Trajectory | None:
-        """The same motion with half the steps, kept likewise; None: of adaptive methods, and odd numbers of steps."""
+        """The same motion with half the number of steps, which is kept too. None for adaptive methods and for odd numbers of
+        steps.
+        """
         return self._kept(0.5, self.repetition.coarser)
 
     def by_longer_steps(self) -> Trajectory | None:
@@ -97,11 +99,13 @@ class Trajectory(MotionData):
         return longer
 
     def richer(self) -> Trajectory | None:
-        """The same motion with more modes (integrate/repetition.py), kept likewise; None where there are no more."""
+        """The same motion with more modes (integrate/repetition.py), which is kept too. None if the bodies do not have more
+        modes.
+        """
         return self._kept("modes", lambda: self.repetition.richer(self))
 
     def with_finer_meshes(self) -> Trajectory | None:
-        """The same motion with finer meshes, kept likewise; None where no body has a mesh that is refined."""
+        """The same motion with finer meshes, which is kept too. None if no mesh can be refined."""
         return self._kept("mesh", lambda: self.repetition.with_finer_meshes(self))
 
     def _kept(self, key: Any, make: Callable[[], Any]) -> Any:

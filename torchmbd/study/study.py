@@ -75,7 +75,7 @@ class Study(StudySettings):
     ) -> Self:
         """Run the study, or continue it after an interruption; returns the study.
 
-        A finished study is not run again: its results come from stored evaluations.
+        If the study is finished, `run` takes its results from stored evaluations.
 
         workers, scheduler, fresh   as of `torchmbd run`: processes that evaluate, a Dask cluster, forget stored evaluations
         console                     where it shows its progress, of rich; None: standard output; Console(quiet=True): nowhere

@@ -37,7 +37,8 @@ from torchmbd.multibody.statics.supported_body import SupportedBody, Supports
 class Buckling(NamedTuple):
     """The result of `buckling`.
 
-    factors        of the loads [*lanes, number] [-], ascending; inf: there is no further buckling shape
+    factors        buckling factors of the loads [*lanes, number] [-], ascending; inf if the body does not have another
+                   buckling shape
     shapes         buckling shapes [*lanes, nodes, 6, number], largest displacement 1; zero where there is none
     displacements  static displacements under the loads [*lanes, nodes, 6] [m, rad]
     status         "ok", or why factors are infinite

@@ -33,14 +33,14 @@ _CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = WeakKeyDictionar
 
 @dataclass(frozen=True)
 class BucklingFactor(Measure):
-    """Factor [lanes] [-] of loads at which a body buckles: of static ones (mbd.buckling), or the least along the motion.
+    """Buckling factor [lanes] [-] of a body: for static loads (mbd.buckling), or the smallest factor along the motion.
 
     body      its name
     loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total; None: the stress of the motion, 1 over
               the peak of BucklingIndex
     supports  nodes -> freedoms that are held, as "u1 u3", or imposed; None: the reference nodes
     number    1 is the lowest
-    Where factors coincide the gradient is the mean of theirs, as of Frequency.
+    Where factors coincide, the gradient is the mean of their gradients, as for `Frequency`.
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)

@@ -32,7 +32,7 @@ class Channel:
 
     response   a history of the model, such as mbd.Position("tip", "x"), in its SI unit
     column     name of the column; None: the name of the channel
-    unit       unit of the column, such as "mm"; None: that in brackets of its heading, else SI
+    unit       unit of the column, such as "mm"; None: the unit in brackets in its heading, or the SI unit
     deviation  standard deviation of the noise, in the SI unit of the response: a number, or one for each row;
                None: estimated from the residuals
     delay      of the sensor [s];  gain [-];  offset, in the SI unit of the response: numbers, or mbd.variable(...) of

@@ -28,7 +28,7 @@ class Experiment(Summary):
 
     system        the model
     measurements  a measurement, such as mbd.TimeSeries(...), or a list of them
-    settings      parameter -> value in this experiment [SI], of parameters that are no unknowns
+    settings      parameter -> value [SI] in this experiment, for parameters that are not unknowns
     duration      of the motion [s]; None: until the last measured time
     steps         equal steps of the motion; None: as many as the first motion needs (`simulate`), the same in all later ones,
                   and more where `identify` finds that their error moves an unknown by a part of its deviation
@@ -105,7 +105,8 @@ class Experiment(Summary):
         ]
 
     def within(self, limits: Limits, start: Mapping[str, Tensor]) -> Experiment:
-        """The experiment with its duration, and without what no motion of this duration has, and no model at the start.
+        """The experiment with its duration, without samples outside of the motion and without measured modes that
+        do not have a partner in the model at the start.
 
         limits   bounds of the unknowns of its measurements, by name
         start    values of parameters where the search begins, by name [1, ...]; those of other systems are left out

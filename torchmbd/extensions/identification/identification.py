@@ -51,11 +51,11 @@ class Identification(Summary):
     """A model fitted to measurements.
 
     problem       the residuals as a function of the unknowns;  settings: how it was searched
-    fit           how the best start ended;  starts: it, then the others by their costs in the deviations of the fit
+    fit           the result of the best start;  starts: the results of all starts, the best one first, then by rising cost
     evaluations   simulations of a design, each with its Jacobian, of all starts;  failures: those of them that failed
-    validation_problem, validation_residuals   the same of experiments that were held out; None: there are none
-    step_error    what the steps of the motions do to the unknowns; None: there are no steps, or the fit has not converged
-    start_doubts  what was told of the sizes of data and model at the start
+    validation_problem, validation_residuals   problem and residuals of the validation experiments; None if there are none
+    step_error    shift of the unknowns that the time steps cause; None without time steps, or if the fit has not converged
+    start_doubts  warnings about the sizes of data and model at the start
 
     `fit["bob.mass"]` is the value of an unknown; of a parameter with one entry its index may be left out.
 
@@ -86,7 +86,7 @@ class Identification(Summary):
 
     @property
     def message(self) -> str:
-        """A sentence why."""
+        """The reason of the status, one sentence."""
         return self.fit.message
 
     @property
@@ -149,12 +149,12 @@ class Identification(Summary):
 
     @property
     def searched(self) -> np.ndarray:
-        """Places of the unknowns whose bounds are not equal; the others are constants, without a deviation."""
+        """Indices of the unknowns whose bounds differ. The others are constants and do not have a standard deviation."""
         return np.flatnonzero(self.settings.lower < self.settings.upper)
 
     @property
     def freedoms(self) -> int:
-        """Numbers less unknowns that were searched."""
+        """Degrees of freedom: the number of samples minus the number of unknowns that were fitted."""
         return len(self.residuals) - len(self.searched)
 
     @cached_property
@@ -276,7 +276,7 @@ class Identification(Summary):
 
     @property
     def warnings(self) -> list[str]:
-        """What a user must know of a fit that has converged: noise that is unknown, steps that move the unknowns."""
+        """Warnings about a converged fit: unknown noise, or time steps whose error shifts the unknowns."""
         result = []
         if not self.converged:
             return result

@@ -80,14 +80,15 @@ def identify(
     loss, f_scale    "linear", "soft_l1", "huber", "cauchy" or "arctan", and the residual, in deviations, beyond which one
                      counts as an outlier; as of scipy.optimize.least_squares. Priors are never outliers
     starts           mbd.sobol(...), mbd.latin_hypercube(...), or a list of designs; None: the start alone
-    tolerance        part of their deviations by which unknowns may be off at the end
+    tolerance        largest error of the unknowns at the end of the search, as a share of their standard deviations
     max_evaluations  simulated designs of each start at most
     max_time         limit of time [s]: no design is simulated after it, and the best by then is the result, with the status
                      "max_time"; None: no limit
     max_lanes        designs that are simulated at the same time
     callback         called with every design that lowers the cost of its start
     progress         a bar on standard error; None: in a terminal or a notebook
-    evaluator        what is searched in the place of a problem, such as one that keeps its evaluations (torchmbd.study)
+    evaluator        object that evaluates designs instead of the problem, such as one that stores its evaluations
+                     (torchmbd.study)
 
     A start that cannot be simulated has the status "failed" and its reason; later designs that cannot are rejected by the
     search and counted. Raises InputError for unknown names, with the nearest; for more unknowns than numbers.

@@ -58,7 +58,7 @@ def recover_blended_stacks(
     laminates  of each zone, of one material; without `coupling` all stacks are symmetric
     plies      number of plies of each zone; of symmetric stacks all even or all odd. Zones with equal numbers have one stack
     angles     the allowed angles [rad]
-    rules      rules that every stack should keep; fewer broken rules count before smaller distances
+    rules      rules that every stack should satisfy; a result with fewer broken rules is better, whatever its distance
     areas      weight of each zone, such as its area [m2]; default: equal weights
     weights    of the differences of membrane, coupling and bending parameters
     seed       of the random starts

@@ -62,7 +62,8 @@ def write_bdf(design: Any, deck: str | Path, path: str | Path | None = None) -> 
 
     design   result of mbd.optimize or mbd.multistart, study of mbd.load, System or body; its bodies come from mbd.read_bdf
     deck     the file that mbd.read_bdf has read, unchanged since then; write_bdf does not change it
-    path     the file to write, none of those that the deck includes; None: NAME_optimized in the folder of the deck
+    path     the file to write, which must not be a file that the deck includes; None: NAME_optimized in the folder of the
+             deck
     Cards that do not change keep every byte. Returns the path. Raises InputError if the deck has changed, or if its cards
     cannot hold the design.
 

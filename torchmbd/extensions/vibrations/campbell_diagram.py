@@ -46,8 +46,8 @@ class Campbell(NamedTuple):
     damping_ratios  -Re s / |s| [designs, k, n] [-], negative where the vibration grows
     poles           s [designs, k, n] [1/s]
     status          of each design "ok", or which vibrations are lost
-    whirl           [designs, k, n]: 1 forward, with the rotation; -1 backward; 0 at rest, neither (along the axis, torsion), or
-                    several at once, as of unequal bearings and of blades
+    whirl           [designs, k, n]: 1 forward (with the rotation), -1 backward, 0 for other vibrations: at rest, along the
+                    axis, in torsion, or with forward and backward parts, as with anisotropic bearings and blades
 
     >>> drawn = mbd.campbell(mbd.examples.pendulum(), [0.0], modes=1)
     >>> drawn.status, round(drawn.frequencies.item(), 3)

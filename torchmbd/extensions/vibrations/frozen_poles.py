@@ -28,8 +28,8 @@ def frozen_poles(
 
     motion        of `simulate`, without phases
     time          one of its times [s]; None: the last one
-    coordinates   names of independent increments, as of `linearize`, on which the poles depend; None: modes and rotations as
-                  far as they are independent, then displacements, those of the first lane for all
+    coordinates   names of independent increments, as of `linearize`, on which the poles depend; None: first modes and
+                  rotations that are independent, then displacements; the choice for the first lane applies to all lanes
 
     In rising order of the size of the imaginary part, then of the real one. Differentiable as the motion is, in both modes.
     A single pole of several that coincide has no derivative, nor has one of a defective pair: InputError, by name. Lanes that

@@ -154,7 +154,8 @@ class BeamLine:
     def straight(
         cls, length: float | Tensor, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)
     ) -> BeamLine:
-        """From the origin along `direction`, equal elements. Nodes "start", "end", and "center" where there is one.
+        """Return a straight line from the origin along `direction` with equal elements. Its named nodes are "start", "end",
+        and "center" if there is a node in the middle.
 
         length   [m]; mbd.variable(...) is a design variable of the body, "rod.line.length"
         """

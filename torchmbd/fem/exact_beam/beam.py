@@ -50,8 +50,9 @@ class BeamState(NamedTuple):
     forces     (N, V_y, V_z, T, M_y, M_z) at start and end of each element, about its section's axes [*lanes, m, 2, 6]; loads
                along the line act at nodes, so N and V are those of the middle of an element
     reactions  forces and moments of the supports on the beam at their nodes, in mesh axes [*lanes, n, 6]
-    factor     of the loads that was reached: 1 where the status is "ok" [*lanes]
-    status     "ok", or why the loads are not borne: a limit point, buckling, no convergence; of the first lane that fails
+    factor     the part of the loads that was reached: 1 if the status is "ok" [*lanes]
+    status     "ok", or the reason why the beam cannot carry the loads (limit point, buckling, no convergence) in the first
+               lane that fails
     path       equilibria at smaller loads (of the first lane that fails, else the last): factors [k] and places [k, n, 3]
 
     >>> rod = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9)

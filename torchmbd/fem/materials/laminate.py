@@ -187,7 +187,7 @@ class Laminate(nn.Module):
 
     @property
     def loses(self) -> bool:
-        """Whether a ply has a loss factor."""
+        """True if a ply has a loss factor."""
         return any(is_variable(p.loss) or p.loss for p in self._plies.layers)
 
     @property
@@ -236,7 +236,8 @@ class Laminate(nn.Module):
     def held_expansion(
         self, temperature: float | Tensor = 0.0, gradient: float | Tensor = 0.0, moisture: float | Tensor = 0.0
     ) -> HeldExpansion:
-        """Return loads and ply stresses that would cause the free strains after a change; arguments as of `expansion`.
+        """Return the loads and ply stresses that would cause the free strains of a change of temperature or moisture.
+        Arguments as in `expansion`.
 
         A laminate that is held without strain carries the opposite ones.
         """

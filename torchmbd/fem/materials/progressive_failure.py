@@ -54,7 +54,7 @@ def progressive_failure(
     criterion: str = "puck",
     kept: float = 1e-6,
 ) -> list[PlyLoss]:
-    """Follow a laminate from its first failing ply until it bears nothing more.
+    """Compute the loads of a laminate from first-ply failure until it cannot carry more load.
 
     force      N_xx, N_yy, N_xy [N/m];   moment: M_xx, M_yy, M_xy [N]
     criterion  "puck", "hashin" or "max_stress"; plies have a Strength, for the first two with finite Xt, Xc, Yt, Yc, S12

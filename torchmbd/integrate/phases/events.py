@@ -87,9 +87,10 @@ class Event:
         return self.of(motion)[:, 0][None]
 
     def passed(self, before: Tensor, after: Tensor) -> Tensor:
-        """Whether the function passed zero between two values [lanes]; not if the first one is a rounding error.
+        """Whether the function passed zero between two values [lanes].
 
-        A second one that is a rounding error is zero: an event at the end of a step is not left to the next step.
+        A first value of the size of rounding does not count. A second value of this size counts as zero, so that an event at
+        the end of a step belongs to this step and not to the next one.
         """
         sign, zero = DIRECTIONS[self.direction], ROUNDING * before.abs()
         falls, rises = (before > 0) & (after <= zero), (before < 0) & (after >= -zero)

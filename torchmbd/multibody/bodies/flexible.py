@@ -71,7 +71,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
     a laminate, are registered by their own names; where several parts have modules, by the names of the parts.
 
     parts   name -> part of the assembly
-    links   nodes that follow others
+    links   dependent nodes, whose displacements follow from other nodes
     rigid   sets of nodes that move as one rigid body each; frames and interfaces may be on the first node, which leads the set
     name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface   as in `plate`
     updated, stiffening, expansion   as in `plate`
@@ -184,7 +184,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
     @property
     def is_held_at_a_point(self) -> bool:
-        """True if one node of a shell holds the body: it becomes softer with every finer mesh, without limit."""
+        """True if the body is held at one node of a shell. Such a body becomes softer with each mesh refinement and does not
+        converge.
+        """
         node, *others = self.reference
         leads = any(isinstance(link, RigidLink) and link.leader == node for link in self.links)
         on_beam = any(bool((part.masses().ends == node).any()) for part in self.beams.values())
@@ -239,11 +241,12 @@ class FlexibleBody(MatrixMethods, nn.Module):
         modes           least number of vibration modes of the body fixed at its reference nodes (and its interface). A design
                         retains up to four more where others have nearly the frequency of the last, as bending of a tube in two
                         directions; `body.modes` is the number of the first design
-        position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); the joints correct both
+        position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); `simulate` corrects
+                        both so that the joints are closed
         reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]; mbd.variable(...): "rod.damping.time"
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
-                        (or Interface) of `interface`; the highest frequencies are then those of these nodes
+                        (or Interface) of `interface`; these constraint modes cause the highest frequencies of the body
         interface       nodes where joints and loads act, or `mbd.Interface` of several nodes with six freedoms in common, or
                         {"root": nodes} with names for `body.at("root")`, the mean motion of several (interfaces.py)
         updated         False: modes are held fixed in derivatives (eq. 36), for comparison only: gradients are wrong
@@ -349,9 +352,10 @@ class FlexibleBody(MatrixMethods, nn.Module):
         return self
 
     def bent(self, modal: Sequence[float] | Tensor | None = None, rate: Sequence[float] | Tensor | None = None) -> Self:
-        """Set initial modal coordinates and rates of the lowest modes of each design (`structure`), as many as every design
-        retains at least, mode_counts[0]; None: zero.
-        Their gradients know how single modes turn (system/modal_start.py); InputError where modes of one frequency would.
+        """Set initial modal coordinates and velocities of the lowest mode_counts[0] modes of each design, the number that
+        every design retains. None: zero.
+        Gradients include the rotation of individual modes within the retained subspace (multibody/start/modal_start.py).
+        Raises InputError if modes of equal frequency would rotate.
         A torch.nn.Parameter is a design variable, "rod.modal", "rod.modal_velocity". Returns the body."""
         set_modal_start(self, modal, rate)
         return self
@@ -368,8 +372,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         return self
 
     def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:
-        """Stiffness of the free freedoms, of the first design and without gradients, and the function from displacements of
-        these [N, k] to the motion of all nodes [nodes, 6, k]; None for a body that was reduced elsewhere."""
+        """Stiffness matrix of the free degrees of freedom of the first design, without gradients, and a function that maps
+        their displacements [N, k] to the motion of all nodes [nodes, 6, k]. None for bodies of `from_reduced`."""
         if self.given_structure is not None:
             return self.given_structure.flexibility()
         with torch.no_grad():

@@ -31,13 +31,14 @@ class BeamElement(ForceElement):
     """An elastic connection of two frames of rigid bodies, whose displacements and rotations are not small.
 
     a, b       frames of rigid bodies, or of the ground
-    stiffness  forces [N] and moments [N m] by the screw from a to b in the axes of a, symmetric and positive definite [6, 6];
-               of a straight beam of length L along x the stiffness of its sections by L; a torch.nn.Parameter is the design
-               variable "NAME.stiffness"
+    stiffness  [6, 6], symmetric and positive definite: forces [N] and moments [N m] per unit of the screw from a to b, in the
+               axes of a. For a straight beam of length L along x it is the section stiffness divided by L. A
+               torch.nn.Parameter is the design variable "NAME.stiffness"
     damping    time [s]: forces grow by stiffness x damping x rate of the screw
     name       of the element, and of its design variable
 
-    It has no force at the given initial positions, however the frames lie there. Its energy is part of the strain energy.
+    It is free of force at the given initial positions, whatever the relative position of the frames. Its energy is part of
+    the strain energy.
 
     >>> S = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9).stiffness()
     >>> tip = mbd.RigidBody("tip", 1.0, (0.01, 0.01, 0.01), position=(0.5, 0, 0))

@@ -153,7 +153,8 @@ class PlaneContact(_Contact):
     exponent   n, 1 or more: 1.5 for a sphere by Hertz
     friction   coefficient mu of the force mu N tanh(|u| / speed) against sliding; 0: none
     speed      u0 [m/s], below which friction decreases to zero: bodies creep instead of sticking
-    name       of the element, and of its design variables, which all these numbers may be: "floor.stiffness"
+    name       of the element, and of its design variables. All these numbers may be design variables, such as
+               "floor.stiffness"
 
     Both bodies get the force at the point where they touch, a sphere also its moment: it rolls. The plane has no edge, and
     no other part of the body touches it.

@@ -22,8 +22,8 @@ class ControlHistory(nn.Module):
     duration   [s]
     kind       "linear": between values at `times` equal times 0 ... duration; "hold": each value holds for duration / times
 
-    Before the first time the first value acts, after the last time the last one. Where a held value changes the mean of both
-    acts, so that steps that end there have the exact impulse (integrate/jumps.py).
+    Before the first time the first value acts, and after the last time the last value. At the instant where a held value
+    changes, the mean of the old and the new value acts. So steps that end there have the exact impulse (integrate/jumps.py).
 
     >>> push = mbd.ControlHistory([[0.0], [2.0], [0.0]], duration=1.0)
     >>> push(torch.tensor([[0.25]], dtype=torch.float64)).tolist()  # [N]
@@ -53,7 +53,7 @@ class ControlHistory(nn.Module):
 
     @property
     def jumps(self) -> list[float]:
-        """Times at which a held value gives way to the next [s]."""
+        """Times [s] at which one held value changes to the next; empty for kind "linear"."""
         count = len(self.values) if self.kind == "hold" else 1
         return [k * self.duration / count for k in range(1, count)]
 

@@ -35,7 +35,7 @@ class Controller(ForceElement):
 
     module    a torch module, x [lanes, inputs] -> u [lanes, outputs], float64, a function of its inputs alone
     inputs    signals (mbd.signals): each is one number of x, a position or velocity three, in this order
-    outputs   actuators (mbd.signals): each is one number of u, a force [N] or torque [N m]
+    outputs   actuators (mbd.signals): each takes one number of u, a force [N] or a torque [N m]
     name      of the element; parameters of the system have it too
 
     The parameters of the module are parameters of the system, "controller.<name>". Native code calls the module in every step.

@@ -100,8 +100,8 @@ class AxialSpringDamper(_Between):
 class RotationalSpringDamper(_Between):
     """Spring and damper about an axis of frame a, for a hinge.
 
-    The angle is that of the axis after `axis` (z -> x) of frame b from the same axis of frame a; within half a turn of the
-    rest angle, or of `law.center`.
+    The angle is measured about `axis`, from the next axis of frame a to the same axis of frame b (for axis "z": from x of a
+    to x of b). It lies within half a turn of the rest angle, or of `law.center`.
 
     arguments  stiffness [N m/rad], damping [N m s/rad], rest [rad], or a law f(theta, theta', t) [N m] on b about the axis;
                and the name

@@ -33,7 +33,7 @@ class JointCoupling(Joint):
 
     coordinates  two or three: `angle` of a Revolute or Cylindrical [rad], `travel` of a Prismatic or Cylindrical [m]
     factors      one for each, not zero, in units that make all products one unit
-    offset       sum of the products, in that unit: it turns or moves the joints when they are closed at the start
+    offset       the constant sum of the products, in their unit; if it is not zero, `simulate` moves the joints at the start
     name         of the coupling, and of its design variables and reactions; None: made of the first joint's bodies
 
     Factors and offset may be design variables, parameters "NAME.factor1", "NAME.offset" of the system. The joints must be

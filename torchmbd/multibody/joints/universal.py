@@ -18,9 +18,10 @@ _SKEW = 1e-3  # [rad] of axes that are typed with three digits
 class Universal(Joint):
     """`Universal(a, b, axes="yz")`: two letters, both axes of frame a at the start. Four equations.
 
-    The first arm of the cross stays with body a, the second with body b. Where shafts are at an angle at the start choose the
-    letters, or axes of frame a, so that the second arm is across both: else the cross is skewed, and turns as no Hooke's joint
-    does. A second frame with axes of its own says where its shaft is: a warning tells the angle by which the cross is skewed.
+    The first arm of the cross is fixed to body a, and the second arm to body b. If the shafts are at an angle at the start,
+    choose the letters, or the axes of frame a, so that the second arm is perpendicular to both shafts. Otherwise the cross is
+    skewed, and the motion differs from a Hooke's joint. A second frame with axes of its own says where its shaft is: a
+    warning tells the angle by which the cross is skewed.
 
     name    of the joint in reactions and messages; None: made of the kind and the bodies
 

@@ -51,7 +51,9 @@ class Chain:
     def at(
         self, node: str | int, axes: Sequence | Tensor | None = None, offset: Sequence[float] | Tensor = (0.0, 0.0, 0.0)
     ) -> Frame:
-        """Frame on a node of the whole line, as of `FlexibleBody.at`; where two pieces meet, on the first of them."""
+        """Return a frame on a node of the whole line, as `FlexibleBody.at` does. Where two pieces meet, the frame is on the
+        first piece.
+        """
         nodes = node_indices(self.line, node)
         if len(nodes) != 1:
             raise InputError("node", node, "one node", state=f"is {node!r}, {len(nodes)} nodes of a chain")

@@ -251,7 +251,8 @@ def optimize_discrete(
     allowed        one entry per variable, an increment in its unit, a list of values, or None (continuous); one increment
                    applies to all [rad for angles: mbd.deg(5)]
     max_boxes      boxes searched at most; where others are left that may hold a better design, the status is "max_boxes"
-    max_neighbors  where more lie within two increments per variable, the certificate takes two increments in all
+    max_neighbors  largest number of neighbors within two increments per variable; if there are more, the certificate covers
+                   only neighbors whose increments add up to two
     admits         rules that a design [n] on the values must keep, such as those of a laminate; rounding then takes the
                    nearest admitted design within two increments (a rule that ties variables, such as symmetry, is better
                    a link of the problem, for few designs keep it)

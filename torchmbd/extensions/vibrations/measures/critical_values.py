@@ -111,14 +111,15 @@ class CriticalSpeed(OfVibrations):
     number    1 is the lowest within `between`
     order     the multiple: 1 for unbalance, which turns with the shaft
     between   (lowest, highest) speed that is searched [rad/s], positive
-    points    speeds of the grid, equally spaced; two crossings of one frequency between neighbors are missed
+    points    number of equally spaced speeds of the grid; the search misses two crossings of one frequency between neighbors
     axis, center   of the rotation, as of OfVibrations
     observer  in whose axes rigid bodies and flexible beams are computed: "ground", or "turning" with the machine. The speed
               is one of a fixed observer in both. Bodies with modes are computed in axes that turn with them. In these
-              axes the bearings must be alike all around
+              axes the bearings must be isotropic
 
-    Raises InputError where there are fewer, and for vibrations of blades and flat shafts, of which a fixed observer sees
-    several frequencies. `CampbellClearance` has the orders of loads that a turning blade meets.
+    Raises InputError if there are fewer than `number` critical speeds. Also raises it for blades and shafts of non-circular
+    section, because a fixed observer sees several frequencies of one vibration. Use `CampbellClearance` for loads on a
+    turning blade.
 
     >>> disk = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01))
     >>> bearing = mbd.Bushing(mbd.Ground().at(), disk.at(), (5e4, 8e3, 5e3), turning_stiffness=(0.0, 30.0, 30.0))

@@ -51,7 +51,7 @@ class ResponsePeak(NamedTuple):
 class FrequencyResponse(OfVibrations):
     """Largest magnitude [lanes] of a response to a harmonic input of size one over a band of frequencies; limit: at most.
 
-    output      name of a joint, of which it is the angle [rad] or the travel [m]; or of a body: the position of a point [m]
+    output      name of a joint, for its angle [rad] or travel [m]; or name of a body, for the position of a point [m]
     input       name of a joint, in which a motor acts [N m] or [N]; or of a body on which a force acts [N]
     band        (lowest, highest) frequency [Hz]
     direction   of the position: "x", "y", "z" of the ground; None: output is a joint. Across the axis of a rotation it needs
@@ -62,8 +62,8 @@ class FrequencyResponse(OfVibrations):
     speed       of rotation [rad/s]
     axis, center, observer   of the rotation, as of OfVibrations
 
-    The peak is located exactly, not on a grid. Its derivative is that of the magnitude at its frequency; where two peaks
-    are the largest it is that of one of them.
+    The measure locates the peak exactly, not on a grid. Its derivative is the derivative of the magnitude at the frequency of
+    the peak. If two peaks are equal, it is the derivative at one of them.
     Raises InputError where a vibration in the band has no damping: the response is infinite; and where the observer of a
     rotation sees a direction turn.
 

@@ -143,7 +143,7 @@ class SystemFrequency(OfVibrations):
 class DampingRatio(OfVibrations):
     """Damping ratio -Re s / |s| [lanes] [-] of a pole s of the whole system; negative where the vibration grows.
 
-    number   of the pole with a positive imaginary part, of 1 % of |s| at least; 1 has the smallest
+    number   of the pole, among poles whose imaginary part is at least 1 % of |s|; 1 has the smallest imaginary part
     speed    of rotation [rad/s]
     follow   as of SystemFrequency. Without it, two poles with nearly the same imaginary part are told apart by its order alone
     axis, center, observer   of the rotation, as of OfVibrations
@@ -193,7 +193,7 @@ class DampingRatio(OfVibrations):
 class StabilityMargin(OfVibrations):
     """Largest real part [lanes] [1/s] of the poles of the whole system, smooth: below zero the state is stable.
 
-    It lies between the largest real part and ln(poles) / sharpness above it.
+    It exceeds the largest real part by at most ln(number of poles) / sharpness.
 
     sharpness  of the smooth maximum (SmoothMax) [s]; None: the largest real part itself
     speed      of rotation [rad/s]
@@ -234,8 +234,9 @@ class StabilityMargin(OfVibrations):
 class CampbellClearance(OfVibrations):
     """Relative distances [lanes, rows] [-] of frequencies f from n times the speed over a band of speeds; limit: at least.
 
-    For each frequency and each order n, with e = 2 pi f / (n speed) - 1 at sample speeds: the larger of min e and min -e. It is
-    positive where the frequency stays above, or below, the order line all along; where it crosses it is negative.
+    For each frequency f and each order n the distance is the larger of min(e) and min(-e), with e = 2 pi f / (n speed) - 1
+    over the sample speeds. It is positive if the frequency stays above, or stays below, the order line, and negative if it
+    crosses the line.
 
     orders    n, as (1, 2, 3)
     band      (lowest, highest) speed [rad/s], positive
