@@ -1,6 +1,6 @@
 """Errors of torchmbd: raised where input enters, with the argument, its value and what is allowed.
 
-A simulation or an optimization that fails later is no exception: it is a status in the result.
+A simulation or an optimization that fails later is not an exception: it is a status in the result.
 """
 
 from __future__ import annotations

@@ -73,4 +73,4 @@ def test_arguments_have_their_meaning():
 
     length = 'how long [m]; "initial": as at the start'
     assert meanings(documented.__doc__) == {"first": length, "second": length, "fourth": "a word"}
-    assert meanings(mbd.Problem.__doc__)["tolerance"].startswith("error by steps of every response, as a share")
+    assert meanings(mbd.Problem.__doc__)["tolerance"].startswith("largest error due to time steps that each response")

@@ -8,8 +8,8 @@ Accelerations and reactions bend or jump between some of these times:
     contacts    a gap closes or opens: a stop, a plane, a law Gap
     controls    values of a ControlHistory: a linear one bends there, a held one jumps, and a sample there is the mean of both
 
-Differences do not look across these intervals (slopes.py). Kinks of other laws, as of Table or of functions of users, and of
-prescribed motions, are not known.
+Differences do not look across these intervals (slopes.py). Kinks of other laws, such as those of Table or of functions of
+users, and of prescribed motions, are not known.
 Checked in tests/design/test_kinks.py, tests/design/test_switches.py, tests/integrate/test_contacts.py.
 """
 

@@ -43,7 +43,7 @@ def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivat
 
 
 def hermite_integral(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, power: int = 1) -> Tensor:
-    """Integral of the polynomial over its interval, or of its square (power 2) [..., n]; arguments as of `hermite`."""
+    """Integral of the polynomial over its interval, or of its square (power 2) [..., n]; arguments as in `hermite`."""
     rows = torch.tensor(_table(len(ends), 0), dtype=h.dtype)
     z = torch.stack([h**k * x for k, pair in enumerate(ends) for x in pair])
     exponent = torch.arange(rows.shape[1], dtype=h.dtype)
@@ -54,7 +54,7 @@ def hermite_integral(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, power: in
 
 
 def coefficients(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor) -> Tensor:
-    """Coefficients of the polynomial by powers of the position s [powers, ..., n], lowest first; arguments as of `hermite`."""
+    """Coefficients [powers, ..., n] of the polynomial in the position s, lowest power first; arguments as in `hermite`."""
     at_ends = torch.stack([x * h**k for k, pair in enumerate(ends) for x in pair])
     table = torch.tensor(_table(len(ends), 0), dtype=at_ends.dtype)
     return torch.tensordot(table.T, at_ends, 1)

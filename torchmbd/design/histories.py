@@ -152,7 +152,7 @@ class Position(History):
 
 @dataclass(frozen=True)
 class Displacement(Position):
-    """Change of position since the start [lanes, times] [m]; arguments as of `Position`.
+    """Change of position since the start [lanes, times] [m]; arguments as in `Position`.
 
     If a node is given, the default observer is the body itself: the elastic displacement. Otherwise it is the ground.
 
@@ -188,7 +188,7 @@ class Displacement(Position):
 
 @dataclass(frozen=True)
 class Velocity(Position):
-    """Rate of the position as the observer sees it [lanes, times] [m/s]; arguments as of `Position`.
+    """Rate of the position as the observer sees it [lanes, times] [m/s]; arguments as in `Position`.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(speed=2.0), 0.1, steps=10)
     >>> mbd.Velocity("bob", "x")(motion)[0, 0].item()
@@ -200,7 +200,7 @@ class Velocity(Position):
 
 @dataclass(frozen=True)
 class Acceleration(Position):
-    """Second rate of the position as the observer sees it [lanes, times] [m/s2]; arguments as of `Position`.
+    """Second rate of the position as the observer sees it [lanes, times] [m/s2]; arguments as in `Position`.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(length=0.5, speed=2.0), 0.1, steps=10)
     >>> round(mbd.Acceleration("bob", "y")(motion)[0, 0].item(), 6)  # v^2 / length
@@ -212,8 +212,7 @@ class Acceleration(Position):
 
 @dataclass(frozen=True)
 class RelativeDisplacement(History):
-    """Elastic displacement of node a minus the displacement of node b [lanes, times] [m]. For a plate, axis="z" gives the
-    local torsion, eq. (38).
+    """Elastic displacement of node a minus that of node b [lanes, times] [m]; axis "z" of a plate: the local torsion, eq. (38).
 
     body  the flexible body
     a, b  its nodes, by name or index

@@ -281,7 +281,8 @@ class Frequency(Measure):
 
     body      its name
     number    1 is the lowest; without supports up to the number of retained modes
-    supports  as of mbd.frequencies, with all freedoms of the mesh; None: the reference nodes, with the retained modes
+    supports  as in mbd.frequencies, with all degrees of freedom of the mesh; None: the reference nodes, with the retained
+              modes
 
     Where frequencies coincide (their squares agree to 1e-6), none of them is differentiable. The gradient is then the mean of
     their one-sided slopes, a subgradient in the sense of Clarke. `eigenpair_branches` gives these slopes; `Frequencies`, a mean
@@ -325,7 +326,7 @@ class Frequencies(Measure):
     cluster   numbers of the modes, as (2, 3); 1 is the lowest, up to the number of retained modes
     power     1: root mean square; a large negative number: close to the lowest frequency; a large positive number: close to
               the highest frequency [-]
-    supports  as of Frequency
+    supports  as in Frequency
 
     The mean is differentiable where frequencies of the cluster cross or coincide.
     Where a frequency of the cluster coincides with a frequency outside, the gradient is only a subgradient, as for

@@ -25,7 +25,7 @@ def formula(operation: Callable[..., Tensor], parts: Sequence[Any]) -> str:
 
 
 def keeps_zero(operation: Callable[..., Tensor], parts: Sequence[Any]) -> bool:
-    """Whether an operation on responses and numbers has a natural zero: all responses have one, and none is shifted."""
+    """True if an operation on responses and numbers has a natural zero: all responses have one, and none is shifted."""
     shifted = operation in (torch.add, torch.sub) and any(is_number(part) and part for part in parts)
     return not shifted and all(is_number(part) or part.natural_zero for part in parts)
 

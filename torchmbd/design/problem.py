@@ -230,7 +230,7 @@ class Problem(Summary):
 
     @property
     def has_extra_variable(self) -> bool:
-        """Whether the last variable is that of a min-max problem."""
+        """True if the last variable is that of a min-max problem."""
         return bool(self.peaks)
 
     def _with_bound(self, x: np.ndarray, bound: float) -> np.ndarray:
@@ -265,7 +265,7 @@ class Problem(Summary):
         return X
 
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
-        """Motions of designs [lanes, n], differentiable by all design variables if `gradients`."""
+        """Motions of designs [lanes, n], differentiable with respect to all design variables if `gradients`."""
         n = len(self.space.names)  # X may have the extra variable, which changes no motion
         return self._motion(self.simulation, self.space.designs(self._checked(X, n, len(self.names))[:, :n]), gradients)
 
@@ -311,7 +311,7 @@ class Problem(Summary):
 
     @property
     def _refers_to_start(self) -> bool:
-        """Whether the problem has numbers of the initial design: limits, scales of a weighted sum."""
+        """True if the problem has numbers of the initial design: limits, scales of a weighted sum."""
         measures = [self.objective, *(c.measure for c in self.constraints)]
         return any(c.limit == "initial" for c in self.constraints) or any(m.refers_to_start for m in measures)
 

@@ -36,7 +36,7 @@ class Reference(NamedTuple):
 
 
 def constraints_of(subject_to: Any) -> list[Constraint]:
-    """A constraint, or a list of them, as a list; InputError names an entry that is no constraint."""
+    """A constraint, or a list of them, as a list; InputError names an entry that is not a constraint."""
     constraints = [subject_to] if isinstance(subject_to, Constraint) else subject_to
     return list_of("subject_to", constraints, Constraint, "constraints, such as Max(...) <= 'initial'")
 

@@ -79,7 +79,7 @@ class StepChoice:
         return replace(self, steps=steps, error=self.error * (self.steps / steps) ** 2 if self.steps else self.error)
 
     def meets(self, tolerance: float) -> bool:
-        """Whether all errors are resolved and at most the tolerance."""
+        """True if all errors are resolved and at most the tolerance."""
         return self.error <= tolerance and not self.reason
 
     def __str__(self) -> str:

@@ -52,17 +52,17 @@ class History(ConstantArguments):
         raise NotImplementedError(type(self).__name__)
 
     def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
-        """First and second derivative by time [lanes, times] if they are known exactly; None: by differences."""
+        """First and second derivative with respect to time [lanes, times] if they are known exactly; None: by differences."""
         return None
 
     @property
     def smooth(self) -> bool:
-        """Whether the history is smooth between the switches of a motion, so that it may be looked at between its samples."""
+        """True if the history is smooth between the switches of a motion, so that it may be looked at between its samples."""
         return True
 
     @property
     def natural_zero(self) -> bool:
-        """Whether zero has a meaning, as of an energy, and not of a position, whose origin is a choice."""
+        """True if zero has a meaning: for an energy it has one, but not for a position, whose origin is a choice."""
         return True
 
     def __call__(self, motion: Trajectory) -> Tensor:
@@ -199,24 +199,20 @@ class Measure(ConstantArguments):
 
     @property
     def refers_to_start(self) -> bool:
-        """Whether the measure needs the motion of the initial design."""
+        """True if the measure needs the motion of the initial design."""
         return any(measure.refers_to_start for measure in self.operands)
 
     @property
     def natural_zero(self) -> bool:
-        """Whether zero has a meaning, as of a mass, and not of a position, whose origin is a choice."""
+        """True if zero has a meaning: for a mass it has one, but not for a position, whose origin is a choice."""
         return all(measure.natural_zero for measure in self.operands)
 
     def size(self, motion: Trajectory) -> Tensor:
-        """The size of the value, or of its change if zero does not have a meaning. The origin and added constants do not
-        matter.
-        """
+        """The size of the value, or of its change if zero has no meaning; the origin and added constants do not matter."""
         return (self.value(motion).detach() if self.natural_zero else self.change(motion)).abs()
 
     def change(self, motion: Trajectory) -> Tensor:
-        """The part of the value that depends on the motion, in the shape of the value. For a measure of the design it is the
-        value itself.
-        """
+        """The part of the value that depends on the motion, in its shape; for a measure of the design, the value."""
         return self.value(motion).detach()
 
     def __add__(self, other: Any) -> Measure:
@@ -256,7 +252,7 @@ class Measure(ConstantArguments):
         return differentiate(self.value, motion)
 
     def value_and_gradient(self, motion: Trajectory) -> ValueAndGradient:
-        """Value [lanes, ...] and gradient by the design variables [lanes, ..., n_b]; both are nan in lanes that failed.
+        """Value [lanes, ...] and its gradient in the design variables [lanes, ..., n_b]; both are nan in lanes that failed.
 
         Raises InputError for a motion without gradients.
 

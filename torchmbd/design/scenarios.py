@@ -5,8 +5,8 @@
     payloads = {"light": {"tool.mass": 0.1}, "heavy": {"tool.mass": 0.4}}
     problem = mbd.Scenarios(system, 0.1, mbd.Max(deflection), mbd.Max(failure) <= 1.0, scenarios=payloads)
 
-A scenario sets parameters of the system that are no design variables: lane l S + s of the batch is design l in scenario s, so
-each further scenario costs a lane; the eigensolutions of a design are shared by its scenarios
+A scenario sets parameters of the system that are not design variables: lane l S + s of the batch is design l in scenario s,
+so each further scenario costs a lane; the eigensolutions of a design are shared by its scenarios
 (fem/reduction/shared_modes.py). A scenario may have another system, also one of another topology. Scenarios of one system
 are one batch, and the batches are simulated one after another.
 
@@ -56,8 +56,8 @@ class Scenarios(Problem):
     """A transient optimization problem of one design in several scenarios.
 
     system, duration, minimize, subject_to   as in Problem
-    scenarios    name -> {parameter: value}, or a list of such settings; parameters that are no design variables [SI]. The key
-                 "system" gives a scenario another system, which has all design variables in the same shapes
+    scenarios    name -> {parameter: value}, or a list of such settings; parameters that are not design variables [SI]. The
+                 key "system" gives a scenario another system, which has all design variables in the same shapes
     objective    "worst": the largest over the scenarios (a min-max problem, with an extra variable); "mean"
     constraints  "each": hold in every scenario; "worst": one row, of the scenario that is nearest to its limit; "mean"
     weights      of the scenarios in means; None: equal. They are divided by their sum

@@ -137,7 +137,7 @@ class DesignSpace:
         return csr_array((factor, (entry, variable)), (len(self.entries), len(self.names)))
 
     def slopes(self, by_entries: np.ndarray) -> np.ndarray:
-        """Derivatives by the variables [..., n], from those by all entries [..., entries]."""
+        """Derivatives with respect to the variables [..., n], from those with respect to all entries [..., entries]."""
         flat = by_entries.reshape(-1, len(self.entries)) @ self.map
         return np.ascontiguousarray(flat).reshape(*by_entries.shape[:-1], len(self.names))
 
@@ -182,7 +182,7 @@ class DesignSpace:
         return result
 
     def point(self, argument: str, x: Any, default: np.ndarray) -> np.ndarray:
-        """A design [n] within the bounds; arguments as of `vector`."""
+        """A design [n] within the bounds; arguments as in `vector`."""
         result = self.vector(argument, x, default)
         require_inside(argument, self.names, self.lower, result, self.upper, shown)
         return result

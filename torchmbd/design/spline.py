@@ -6,7 +6,8 @@ maximum is differentiable, also where the peak moves past a sample. Of a vibrati
 peaks of the cubic are half a percent off, those of the quintic a ten thousandth.
 
 Peaks are located without derivatives, and the curve is differentiated at their fixed positions: at an inner maximum the
-derivative by time is zero (envelope theorem). The gradient at the largest sample would be 2 % off at 500 samples.
+derivative with respect to time is zero (envelope theorem). The gradient at the largest sample would be 2 % off at 500
+samples.
 
 A history may jump at a switch between two phases of a motion (integrate/phases/phase.py), at a time that depends on the design.
 One piece ends there and another begins, with two values at one time. Responses leave out the interval of length zero between
@@ -69,7 +70,7 @@ class Spline:
     ) -> Spline:
         """The spline of samples y [..., n] at times t, on the window (t0, t1) or, by default, on all times.
 
-        rates   first and second derivative by time of the samples [..., n]; None: slopes by differences
+        rates   first and second derivative with respect to time of the samples [..., n]; None: slopes by differences
         kinks   intervals in which the history is not smooth [..., n - 1], of importance to differences; None: nowhere
         """
         if t.shape[-1] < 2:  # the state of an equilibrium
@@ -167,7 +168,7 @@ class Spline:
         return self.t[..., -1] - self.t[..., 0]
 
     def at(self, times: Tensor, derivative: int = 0) -> Tensor:
-        """Values, or derivatives by time, at times [k], or [..., k], within the knots: [..., k]; at a switch the later ones."""
+        """Values, or time derivatives, at times [k], or [..., k], within the knots: [..., k]; at a switch the later ones."""
         return self._at(times, derivative)
 
     def _at(self, times: Tensor, derivative: int = 0, rounding: float = 0.0, before: bool = False) -> Tensor:

@@ -28,7 +28,7 @@ def supported_frequencies(motion: Trajectory, body: str, supports: Supports, num
 
 
 def check_supports(system: System, body: str, supports: Supports, number: int) -> None:
-    """InputError for supports that a body cannot have, or a number of frequencies beyond its freedoms."""
+    """InputError for supports that a body cannot have, or a number of frequencies beyond its degrees of freedom."""
     most = _case(system, body, supports).most
     if number > most:
         raise InputError("number", number, f"1 to {most}, the free freedoms of {body!r}")

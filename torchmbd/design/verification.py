@@ -304,7 +304,7 @@ def _excess(responses: Sequence[_Response], lane: int) -> float:
 
 
 def _holds(responses: Sequence[_Response], lane: int) -> bool:
-    """Whether a design satisfies all constraints in the finer model."""
+    """True if a design satisfies all constraints in the finer model."""
     return all(float(x.finer_excess[lane]) <= LIMIT * x.size for x in responses if x.finer_excess is not None)
 
 

@@ -78,7 +78,7 @@ def words(response: Response, bodies: bool = True) -> str:
 
 
 def unit(response: Response) -> str | None:
-    """The SI unit of a response, such as `J s`; "" for a plain number; None if it is not known, as of a function."""
+    """The SI unit of a response, such as `J s`; "" for a plain number; None if it is not known, as for a function."""
     if hasattr(response, "unit"):  # of a function, or of a class, which then needs no line above
         return response.unit  # pyright: ignore[reportAttributeAccessIssue]
     if isinstance(response, (Combined, CombinedMeasure)):

@@ -19,8 +19,7 @@ _BEAMDYN = [2, 0, 1, 5, 3, 4]
 
 
 def read_beamdyn(path: str | Path) -> SectionTable:
-    """Return a SectionTable of the stations of a BeamDyn blade file, with axes converted from z along the blade to x along
-    the beam.
+    """Return a SectionTable of the stations of a BeamDyn blade file, with x instead of z along the blade.
 
     path   the blade file, named by BldFile of a primary input file
 

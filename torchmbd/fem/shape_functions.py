@@ -37,7 +37,7 @@ def serendipity_powers(degree: int, dimensions: int) -> list[tuple[int, ...]]:
 
 
 def _monomials(powers: Tensor, at: Tensor, by: int | None = None) -> Tensor:
-    """Monomials at points [g, m], or their derivatives by one coordinate."""
+    """Monomials at points [g, m], or their derivatives with respect to one coordinate."""
     factors = at[:, None] ** powers
     if by is not None:
         factors[..., by] = powers[:, by] * at[:, None, by] ** (powers[:, by] - 1).clamp_min(0)

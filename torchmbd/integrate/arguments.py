@@ -72,7 +72,7 @@ def seconds_of(duration: Any) -> Any:
 
 
 def duration_is_differentiated(duration: Any, gradients: str, integrator: Integrator) -> bool:
-    """Whether the motion is differentiated by its duration; InputError where this derivative does not exist."""
+    """True if the motion is differentiated with respect to its duration; InputError where this derivative does not exist."""
     if not isinstance(duration, Tensor) or not is_differentiated(duration):
         return False
     obstacle = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"

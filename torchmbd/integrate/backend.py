@@ -41,7 +41,7 @@ class Backend:
     reverse_cost: ClassVar[tuple[float, float]] = (1.6, 0.7)
 
     def serves_auto(self) -> bool:
-        """Whether "auto" tries it first."""
+        """True if "auto" tries it first."""
         return False
 
     def obstacle(self, dynamics: Dynamics, work: Sequence[str]) -> str | None:
@@ -52,7 +52,7 @@ class Backend:
         return None
 
     def stepper(self, dynamics: Dynamics, w: Weights, corrections: tuple[int, int], refresh: int) -> EagerStepper:
-        """Steps with weights w; corrections of values and tangents, and steps between two inverses, as of `OneStep`."""
+        """Steps with weights w; corrections of values and tangents, and steps between two inverses, as in `OneStep`."""
         return EagerStepper(dynamics, Model.of(dynamics, w), corrections, refresh)
 
     def adjoint_solver(self, grid: Grid) -> AdjointSolver:
@@ -91,7 +91,7 @@ def likely_backend(backend: str) -> type[Backend]:
 
 
 def backend_of(dynamics: Dynamics) -> Backend:
-    """The backend whose name dynamics carry; InputError where it is not installed, such as of a motion of another machine."""
+    """The backend whose name dynamics carry; InputError where it is not installed, as on another machine."""
     if dynamics.backend not in BACKENDS:
         raise InputError(f"steps were made by the backend {dynamics.backend!r}; {BACKENDS.missing(dynamics.backend)}")
     return BACKENDS[dynamics.backend]()
@@ -101,7 +101,7 @@ def with_backend(dynamics: Dynamics, backend: str, work: Sequence[str] = ("step"
     """The dynamics with the name of the backend that makes their steps.
 
     backend   name, whose obstacle is an InputError; or "auto": the first without an obstacle, which is a warning, once
-    work      as of `Backend.obstacle`; steps are those of the condensed system
+    work      as in `Backend.obstacle`; steps are those of the condensed system
     """
     model = dynamics.condensed() if "step" in work else dynamics
     for name in [k for k in BACKENDS if BACKENDS[k]().serves_auto()] if backend == "auto" else [backend]:

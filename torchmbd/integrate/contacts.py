@@ -7,7 +7,7 @@
 `ContactWatch` reads the states of a motion, and then names the first such contact of each lane, with the number of
 steps that should stand for one. retries.py makes them, for the whole motion of that lane, so that derivatives are those of
 equal steps. A linear spring in contact for STEPS steps gives the speed back to 0.05 %, with an error of the third order in
-the step. What changes the speed by less than a thousandth of the motion's largest is no contact.
+the step. What changes the speed by less than a thousandth of the motion's largest is not a contact.
 Checked in tests/integrate/test_contacts.py.
 """
 
@@ -114,7 +114,7 @@ class ContactWatch:
 
     @property
     def idle(self) -> bool:
-        """Whether the system has no contacts."""
+        """True if the system has no contacts."""
         return not self.gaps
 
     @torch.no_grad()

@@ -112,7 +112,7 @@ class Equilibrium(Trajectory):
 
     @property
     def stable(self) -> bool:
-        """Whether no freedom of any lane is unstable, at any time."""
+        """True if no degree of freedom of any lane is unstable, at any time."""
         vibrations = [self._vibrations(lane, k) for lane in range(self.lanes) for k in range(len(self.t) - 1)]
         return not any(x.grow for x in [*vibrations, *self.vibrations])
 
@@ -130,8 +130,8 @@ class StaticIntegration:
     """Equilibria at given times as an `Integration` of `Motion`; data of the model by `names` in, as ReverseIntegration.
 
     follow     the search of each lane starts at the equilibrium of the lane before
-    unstable   as of `equilibrium`
-    sweep      as of `find_equilibria`
+    unstable   as in `equilibrium`
+    sweep      as in `find_equilibria`
     """
 
     model: Dynamics
@@ -270,9 +270,9 @@ def equilibrium(
 
     system      the model; parameters that `designs` does not name keep their own values
     times       of the loads and drives [s], ascending: quasi-static steps; each starts at the equilibrium before
-    designs     as of `simulate`; lanes
-    variables   as of `simulate`
-    start       where the search begins: "assembled", a motion, or numbers for bodies, as of `simulate`
+    designs     as in `simulate`; lanes
+    variables   as in `simulate`
+    start       where the search begins: "assembled", a motion, or numbers for bodies, as in `simulate`
     follow      the search of each lane starts at the equilibrium of the lane before: a path of loads or other values,
                 designs={"push.z": torch.linspace(0.0, -100.0, 11)}
     spin, center   angular velocity [rad/s], [3] or of each lane [lanes, 3], with which the whole rotates about an axis through
@@ -284,7 +284,8 @@ def equilibrium(
 
     Raises InputError with the forces that remain if there is none; with flexible beams, whose loads grow in steps unless
     `unstable` is given, with the part of the loads at which the mechanism buckles or reaches a limit point. Otherwise a free
-    or unstable equilibrium is returned: its frequencies are zero or nan, and freedoms without stiffness stay where they are.
+    or unstable equilibrium is returned: its frequencies are zero or nan, and degrees of freedom without stiffness stay where
+    they are.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     >>> round(rest.vibrations[0].frequencies.item(), 4), rest.stable  # sqrt(9.81 / 2) / (2 pi) [Hz]

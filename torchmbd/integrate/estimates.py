@@ -28,7 +28,7 @@ _OF_PLACES = 100.0 * torch.finfo(torch.float64).eps  # of coordinates
 class StepEstimates:
     """Of steps of size duration / steps [s].
 
-    dynamics   of the states;  constant: of the error of a step, as of StepErrors
+    dynamics   of the states;  constant: of the error of a step, as in StepErrors
     """
 
     def __init__(self, dynamics: Dynamics, constant: float, duration: float, steps: int):
@@ -152,7 +152,7 @@ class IterationErrors:
 def alternations(dynamics: Dynamics, history: History) -> Tensor:
     """Of the accelerations of points, what changes its sign from step to step, and all of it [2, times - 2, lanes] [m/s2].
 
-    The first is zero where it is rounding only, as of beams at rest.
+    The first is zero where it is rounding only, as for beams at rest.
     """
     a = split_v(dynamics.topology, history.vd[:, :, 0].transpose(0, 1))[0].flatten(0, 1)
     change, size = 0.25 * (a[:, 2:] - 2.0 * a[:, 1:-1] + a[:, :-2]), a[:, 1:-1]

@@ -118,7 +118,7 @@ class FlowStepper(Stepper):
 
 
 def flow_of_size(dynamics: Dynamics, x: State, h: Any, t1: Any, arguments: dict[str, Any]) -> State:
-    """The states of all lanes times h later, at t1; as of `Integrator.step_of_size`."""
+    """The states of all lanes times h later, at t1; as in `Integrator.step_of_size`."""
     parts = []
     for lane in range(x.q.shape[-1]):
         size, end = (pick_lanes(y, [lane]) for y in (h, t1))

@@ -35,7 +35,7 @@ class ForwardIntegration(IntegratedMotion):
     """By any integrator.
 
     variables  names of the inputs whose tangents are integrated;  labels: one for each of their entries
-    phases     as of `simulate`;  actions: of each of them
+    phases     as in `simulate`;  actions: of each of them
     """
 
     system: System  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -40,7 +40,7 @@ class InitialValueProblem:
 
     @property
     def is_single(self) -> bool:
-        """Whether there is one segment, in which all joints and laws act."""
+        """True if there is one segment, in which all joints and laws act."""
         return is_single(self.segments, self.dynamics.topology)
 
     def integrate(self, integrator: Integrator, steps: int) -> IntegrationResult:

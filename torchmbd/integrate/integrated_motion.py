@@ -33,7 +33,7 @@ class IntegratedMotion:
     names      of the inputs
     steps      their number; None: chosen from the data
     system     the mechanism, with the locks of its phases, or None where steps are given
-    backend    of the steps, as of `simulate`
+    backend    of the steps, as in `simulate`
 
     Once it has run: the problem, dynamics of the whole system, results and validity of all lanes, outputs.
     """

@@ -65,7 +65,7 @@ def trajectory_of(
 def plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
     """The motion on plain tensors, also under torch.func; it shares status and statistics.
 
-    valid_times: as of IntegratedSignals
+    valid_times: as in IntegratedSignals
     """
     integration = motion.integration
     dynamics, h = integration.dynamics.values(), integration.history

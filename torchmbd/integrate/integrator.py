@@ -162,7 +162,7 @@ class Integrator(ABC):
 
     @property
     def refines(self) -> bool:
-        """Whether lanes may be integrated by smaller steps than asked for."""
+        """True if lanes may be integrated by smaller steps than asked for."""
         return False
 
     def retry(self) -> Steps | None:

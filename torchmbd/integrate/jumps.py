@@ -224,12 +224,12 @@ def _warn_of_force(name: str, times: Sequence[float]) -> None:
 
 
 def _acts(name: str, phases: Sequence[Phase], t: float) -> bool:
-    """Whether the law that a force has in the system acts at time t."""
+    """True if the law that a force has in the system acts at time t."""
     return any(name not in phase.laws and _within(phases, k, t) for k, phase in enumerate(phases))
 
 
 def _within(phases: Sequence[Phase], number: int, t: float) -> bool:
-    """Whether a phase may last to, or from, time t: where it begins and ends is known of times, not of events."""
+    """True if a phase may last to, or from, time t: where it begins and ends is known of times, not of events."""
     begin: float | None = 0.0
     for k, phase in enumerate(phases):
         end = phase.end_time
@@ -245,7 +245,7 @@ def _within(phases: Sequence[Phase], number: int, t: float) -> bool:
 def _warn_of_held(
     force: Controller, duration: float, steps: int | None, count: int | None, phases: Sequence[Phase]
 ) -> None:
-    """Of held values whose changes are no ends of the steps, a multiple of `count`; None: of no number of steps."""
+    """Of held values whose changes are not ends of the steps, a multiple of `count`; None: of no number of steps."""
     held = held_times(force.control, duration)
     within = within_phases(held, phases, duration)
     fitting = steps_at(within, duration)

@@ -73,12 +73,12 @@ def status_of_lanes(
 
 
 def _finite(history: History) -> Tensor:
-    """Whether all numbers of a state are finite [times, lanes]: a sum is where all its terms are, short of overflow."""
+    """True if all numbers of a state are finite [times, lanes]: a sum is where all its terms are, short of overflow."""
     return torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
 
 
 def _possible(history: History) -> Tensor:
-    """Whether all rates of a state are below the speed of light, and no coordinate has left the solar system [times, lanes]."""
+    """True if all velocities are below the speed of light, and no coordinate has left the solar system [times, lanes]."""
     largest = [x[:, :, 0].abs().amax(1) for x in (history.q, history.v)]
     return (largest[0] < FAR) & (largest[1] < LIGHT)
 

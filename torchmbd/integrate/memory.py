@@ -60,7 +60,7 @@ def installed() -> float:
 
 
 def _control_group_limits() -> list[float]:
-    """Limits [bytes] of the control groups that this process is in, of versions 1 and 2, as of containers and SLURM jobs."""
+    """Limits [bytes] of the control groups that this process is in, of versions 1 and 2, as in containers and SLURM jobs."""
     groups = _OF_PROCESS.read_text().splitlines() if os.access(_OF_PROCESS, os.R_OK) else []
     files: dict[Path, None] = {}
     for group in ["0::/", "0:memory:/", *groups]:  # number:controllers:path; a container may see the root only

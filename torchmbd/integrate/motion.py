@@ -93,7 +93,7 @@ def _refuse() -> NoReturn:
 
 
 def _batched_by_grad(x: Tensor) -> bool:
-    """Whether `is_grads_batched` made x: without storage, and by no transform of torch.func."""
+    """True if `is_grads_batched` made x: without storage, and by no transform of torch.func."""
     if in_transform(x):
         return False
     try:

@@ -17,7 +17,7 @@ last converges like Newton's, and the tangents of the *discrete* map are one mor
 
 The error that this leaves is estimated by a second correction once in every check interval (`CHECK` steps); where it is
 too large, further steps make more corrections. Steps have tangents and an exact pullback (adjoint.py), by every backend.
-Bodies that joints to the ground hold simply are no unknowns (multibody/saddle/condensation.py).
+Bodies that joints to the ground hold simply are not unknowns (multibody/saddle/condensation.py).
 Source: Arnold and Bruels, Multibody Syst. Dyn. 18 (2007) 185-202; Bruels, Cardona, Arnold, Mech. Mach. Theory 48 (2012)
 121-137.
 Checked in tests/contracts/test_integrators.py, tests/convergence/ (order), tests/sensitivity/ (against its own discrete map).

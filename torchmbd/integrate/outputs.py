@@ -28,7 +28,7 @@ class Outputs(NamedTuple):
     states     q, v, v', lam [times, n, ., lanes]
     validity   of the lanes (lane_status.py)
     at_steps   where lanes have smaller steps: the states at these (`History.at_steps`)
-    segment    of several segments: that of each state, as of `History`
+    segment    of several segments: that of each state, as in `History`
     data       of the reduced model, by name
     switches   of each the numbers of `switch_numbers`
     """
@@ -93,7 +93,7 @@ def switch_numbers(switch: Switch) -> list[Any]:
 
 
 def switches_with(switches: Sequence[Switch], numbers: Sequence[Sequence[Tensor]]) -> list[Switch]:
-    """The switches with numbers, as of `switch_numbers`, that are differentiable outputs of `Motion`."""
+    """The switches with numbers, as in `switch_numbers`, that are differentiable outputs of `Motion`."""
     result = []
     for switch, (t, *states) in zip(switches, numbers, strict=True):
         rows = iter([x[:, 0].T for x in states])

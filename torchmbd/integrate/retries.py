@@ -44,7 +44,7 @@ _MOST_NUMBERS = 2e8  # of a motion whose steps are made smaller for its contacts
 
 @dataclass
 class LaneResults:
-    """History, statistics, status, switches and data of lanes, as of IntegrationResult.
+    """History, statistics, status, switches and data of lanes, as in IntegrationResult.
 
     replaced   lanes whose first motion gave way to a better one, and how that was made
     """

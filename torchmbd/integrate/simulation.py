@@ -83,7 +83,7 @@ class _Preparation(NamedTuple):
 class Simulation(Summary):
     """The motions of a system over a duration, for any designs: made and checked once, called often.
 
-    system, duration, method, steps, phases, backend, start, options   as of `simulate`
+    system, duration, method, steps, phases, backend, start, options   as in `simulate`
 
     `simulation(designs, gradients, variables, progress)` returns a Trajectory; its arguments are those of `simulate` as well.
     `simulate(...)` is `Simulation(...)(...)`, with the same numbers.
@@ -200,7 +200,7 @@ class Simulation(Summary):
         variables: Sequence[str] | None = None,
         progress: bool | None = None,
     ) -> Trajectory:
-        """The motions of designs, name -> values [lanes, ...], or [...] for one lane; arguments as of `simulate`.
+        """The motions of designs, name -> values [lanes, ...], or [...] for one lane; arguments as in `simulate`.
 
         Raises InputError for bad arguments.
         """

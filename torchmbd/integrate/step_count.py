@@ -123,7 +123,7 @@ def needed_steps(steps: int, result: IntegrationResult, status: Sequence[str], s
 
 
 def _followed(f: Tensor, stride: int) -> bool:
-    """Whether straight lines between every `stride`-th of the samples f [k, samples + 1] stay near all of them."""
+    """True if straight lines between every `stride`-th of the samples f [k, samples + 1] stay near all of them."""
     if not f.numel() or stride < 1:
         return True
     x = torch.linspace(0.0, 1.0, stride + 1, dtype=f.dtype)[:-1]

@@ -53,12 +53,12 @@ def scalar(name: str, value: Any, allowed: str = "a finite number", unit: str = 
 
 
 def is_whole(x: Any) -> bool:
-    """Whether x is an integer of Python or NumPy, not a bool."""
+    """True if x is an integer of Python or NumPy, not a bool."""
     return isinstance(x, numbers.Integral) and not isinstance(x, bool)
 
 
 def is_real(x: Any) -> bool:
-    """Whether x is a real number of Python or NumPy, not a bool."""
+    """True if x is a real number of Python or NumPy, not a bool."""
     return isinstance(x, numbers.Real) and not isinstance(x, bool)
 
 

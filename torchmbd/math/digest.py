@@ -198,7 +198,7 @@ class _Walk:
                 self._add_named(vars(value), names, seen)
 
     def _installed(self, module: str) -> bool:
-        """Whether a module belongs to Python or an installed package; then the digest of its file is written."""
+        """True if a module belongs to Python or an installed package; then the digest of its file is written."""
         file_digest = _installed_file(module)
         if file_digest is None:
             return False
@@ -220,7 +220,7 @@ def _of_package(module: str) -> bool:
 
 
 def _is_derived(kind: type, name: str) -> bool:
-    """Whether an attribute of instances of a class follows from others, or is a switch that the class does not read."""
+    """True if an attribute of instances of a class follows from others, or is a switch that the class does not read."""
     unread = name == "training" and _of_package(kind.__module__)
     named = name in getattr(kind, "derived_state", ())
     return unread or named or isinstance(_inherited(kind, name), cached_property)
@@ -232,7 +232,7 @@ def _inherited(kind: type, name: str) -> Any:
 
 
 def _definition(x: FunctionType) -> ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda | None:
-    """The definition of a function in the text of its file; None if the text is not available, as of `exec`."""
+    """The definition of a function in the text of its file; None if the text is not available, as in `exec`."""
     code = x.__code__
     try:
         lines, _ = inspect.findsource(code)
@@ -275,7 +275,7 @@ def _definitions(text: str) -> dict[tuple[str, int], list[Any]]:
 
 
 def _is_generated(kind: type, member: Any) -> bool:
-    """Whether Python has written a method of a dataclass or a named tuple: its fields determine it."""
+    """True if Python has written a method of a dataclass or a named tuple: its fields determine it."""
     method = inspect.unwrap(getattr(member, "__func__", member))
     named = isinstance(method, FunctionType) and method.__name__[:2] == "__"
     return named and (is_dataclass(kind) or issubclass(kind, tuple)) and _definition(method) is None

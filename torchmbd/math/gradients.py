@@ -43,27 +43,27 @@ _LIBRARIES = ("torch", "numpy", "scipy", "builtins", "functools", "operator")
 
 
 def is_variable(x: Any) -> bool:
-    """Whether x is a design variable of one number: a finite float64 Parameter []."""
+    """True if x is a design variable of one number: a finite float64 Parameter []."""
     return isinstance(x, nn.Parameter) and x.dim() == 0 and x.dtype == torch.float64 and bool(torch.isfinite(x))
 
 
 def carries_gradient(x: Any) -> bool:
-    """Whether x is a tensor that requires a gradient or has a tangent, in any mode."""
+    """True if x is a tensor that requires a gradient or has a tangent, in any mode."""
     return isinstance(x, Tensor) and (x.requires_grad or forward_ad.unpack_dual(x).tangent is not None)
 
 
 def in_transform(x: Tensor) -> bool:
-    """Whether x is wrapped by a transform of torch.func (vmap, grad, jvp)."""
+    """True if x is wrapped by a transform of torch.func (vmap, grad, jvp)."""
     return debug_unwrap(x, recurse=False) is not x
 
 
 def wraps(*tensors: Tensor) -> bool:
-    """Whether transforms of torch.func wrap what is computed now of these tensors."""
+    """True if transforms of torch.func wrap what is computed now of these tensors."""
     return any(map(in_transform, (*tensors, torch.zeros((), dtype=torch.float64))))
 
 
 def is_differentiated(x: Tensor) -> bool:
-    """Whether operations on x are differentiated now: by autograd in grad mode, dual numbers, or a transform of torch.func."""
+    """True if operations on x are differentiated now: by autograd in grad mode, dual numbers or torch.func."""
     return in_transform(x) or (carries_gradient(x) and (torch.is_grad_enabled() or not x.requires_grad))
 
 
@@ -73,7 +73,7 @@ def untransformed(x: Tensor) -> Tensor:
 
 
 def all_true(x: Tensor) -> bool:
-    """Whether all entries are true, also of all members of a batch under torch.func.vmap."""
+    """True if all entries are true, also of all members of a batch under torch.func.vmap."""
     return bool(untransformed(x).all())
 
 
@@ -99,7 +99,7 @@ def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
 
 
 def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
-    """Decorator: InputError names a float argument that is no number, or an argument whose gradient would be lost.
+    """Decorator: InputError names a float argument that is not a number, or an argument whose gradient would be lost.
 
     An argument annotated `float | Tensor`, also with None, may be a design variable (`is_variable`); one annotated `Varying` or
     `Angles` may be a Parameter of any shape.
@@ -127,7 +127,7 @@ def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
 
 
 def _number(x: Any) -> bool:
-    """Whether x is one real number, also of NumPy or torch."""
+    """True if x is one real number, also of NumPy or torch."""
     if isinstance(x, (str, bytes, bool)):
         return False
     try:

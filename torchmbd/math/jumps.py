@@ -1,7 +1,7 @@
 """Where a function of time jumps, by samples of it.
 
-A difference of two samples that stays while its interval is halved again and again is a jump; what a slope explains is no part
-of it, as the differences beside it are taken off.
+A difference of two samples that stays while its interval is halved again and again is a jump; what a slope explains is not
+part of it, as the differences beside it are taken off.
 Checked in tests/integrate/test_jumps.py.
 """
 

@@ -61,7 +61,7 @@ def exclusive(f: Callable[P, R]) -> Callable[P, R]:
 
 @exclusive
 def call_module(module: nn.Module, values: Mapping[str, Tensor], *args: Any) -> Any:
-    """Return module(*args) with other values of the named parameters; differentiable by these."""
+    """Return module(*args) with other values of the named parameters; differentiable with respect to these."""
     first_names: dict[tuple[int, str], str] = {}  # submodule and attribute -> first name of the parameter
     parameters: dict[str, Tensor] = {}
     for name, x in module.named_parameters(remove_duplicate=False):

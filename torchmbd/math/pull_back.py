@@ -17,7 +17,7 @@ from torch import Tensor
 
 
 class _Weighted(torch.autograd.Function):
-    """A number whose derivatives by the outputs are the `weights` that the list holds when it is pulled back."""
+    """A number whose derivatives with respect to the outputs are the `weights` that the list holds when it is pulled back."""
 
     @staticmethod
     def forward(ctx: Any, weights: list[Tensor], *outputs: Tensor) -> Tensor:

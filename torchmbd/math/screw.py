@@ -81,7 +81,7 @@ def wrench_slopes(l: Any, f: Any) -> tuple[Any, Any]:
 
 
 def _even_slopes(l: Any, x: Any, bracket: Callable[[Any, Any], Any], by_screw: Callable[[Any], Any]) -> Any:
-    """Derivative of c2 A^2 x + c4 A^4 x by l, x held [6, 6, ...]; A y = bracket(l, y), `by_screw(y)` its derivative by l."""
+    """d(c2 A^2 x + c4 A^4 x) / dl with constant x [6, 6, ...]; A y = bracket(l, y), `by_screw(y)` is d(A y) / dl."""
     s = dot(l[3:], l[3:])
     (c2, c4), (d2, d4) = _coefficients(l), (_polynomial(SLOPES[:, k].tolist(), s) for k in (1, 2))
     wide, slope = l.unsqueeze(1), None

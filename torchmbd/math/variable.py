@@ -47,7 +47,7 @@ def number(x: Any) -> Any:
 
 
 def varies(numbers: Any) -> bool:
-    """Whether a field of a frozen dataclass of numbers, or of a dataclass in it, is a variable."""
+    """True if a field of a frozen dataclass of numbers, or of a dataclass in it, is a variable."""
     values = [getattr(numbers, f.name) for f in fields(numbers)] if is_dataclass(numbers) else []
     return any(is_variable(x) or varies(x) for x in values)
 
@@ -129,7 +129,7 @@ class LayerNumbers:
 
     @property
     def vary(self) -> bool:
-        """Whether a layer has variables."""
+        """True if a layer has variables."""
         return any(self.names)
 
     def current(self, owner: nn.Module) -> tuple[Any, ...]:

@@ -19,7 +19,7 @@ class Batch(Protocol[T_co]):
 
     @property
     def done(self) -> bool:
-        """Whether `evaluations` returns without waiting."""
+        """True if `evaluations` returns without waiting."""
         ...
 
     def notify(self, call: Callable[[], None]) -> None:

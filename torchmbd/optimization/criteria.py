@@ -33,7 +33,7 @@ class Criteria:
 
     @property
     def differentiated(self) -> bool:
-        """Whether it comes with gradients."""
+        """True if it comes with gradients."""
         return self.gradients is not None
 
 

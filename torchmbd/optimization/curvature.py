@@ -1,4 +1,4 @@
-"""Kuhn-Tucker points that are no minima, by the second derivatives of the Lagrangian along active constraints.
+"""Kuhn-Tucker points that are not minima, by the second derivatives of the Lagrangian along active constraints.
 
 A Kuhn-Tucker point is not a minimum if s'H s < 0 for a direction s along the constraints and bounds that have a multiplier:
 a saddle point, or a maximum such as the ply angle of 90 degrees, where all gradients vanish by symmetry.

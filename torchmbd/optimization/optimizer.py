@@ -10,7 +10,7 @@ lines, a table of stored results.
 
 An optimizer is a function `method(search, max_iterations, **options) -> Ending`. It sees one `Search`: scaled
 variables, scaled objective, a cache, and never more than one design at a time; that many starts are simulated in one
-batch is not its business. A failed evaluation is no exception but a status: its numbers are never used.
+batch is not its business. A failed evaluation is not an exception but a status: its numbers are never used.
 
 Constraints should be of order one (a response divided by its limit, minus one): their thresholds are absolute.
 Checked in tests/contracts/test_optimizers.py, over the registry.
@@ -65,7 +65,7 @@ class Evaluation:
 
     @property
     def differentiated(self) -> bool:
-        """Whether it comes with gradients."""
+        """True if it comes with gradients."""
         return self.objective_gradient is not None
 
     @classmethod

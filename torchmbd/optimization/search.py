@@ -45,12 +45,12 @@ class OutOfTime(BaseException):
 
 
 def deadline_of(max_time: float | None) -> float:
-    """When a search that begins now must end, by time.monotonic() [s]; InputError for a limit that is no time."""
+    """When a search that begins now must end, by time.monotonic() [s]; InputError for a limit that is not a time."""
     return math.inf if max_time is None else time.monotonic() + require_range("max_time", max_time, *TIMES)
 
 
 def is_over(deadline: float) -> bool:
-    """Whether a deadline has passed."""
+    """True if a deadline has passed."""
     return time.monotonic() > deadline
 
 

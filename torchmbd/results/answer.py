@@ -74,7 +74,7 @@ class Answer:
 
     @property
     def margin_text(self) -> str:
-        """`12 %`, `0 %, active`, `-3 %, violated`; "" of what is no constraint."""
+        """`12 %`, `0 %, active`, `-3 %, violated`; "" of what is not a constraint."""
         if self.margin is None:
             return ""
         text = f"{100.0 * self.margin:z.2f} %"
@@ -107,7 +107,7 @@ class Verification(Summary):
 
     @property
     def verified(self) -> bool:
-        """Whether gain and constraints hold in the finer model, and at most a tenth of the evaluations failed."""
+        """True if gain and constraints hold in the finer model, and at most a tenth of the evaluations failed."""
         return not self.faults and not self.failing
 
     @property

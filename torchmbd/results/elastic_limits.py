@@ -331,7 +331,7 @@ def _slopes(T: Any, k: int, body: Any) -> Tensor | None:
 
 
 def _share(T: Any, k: int, slopes: Tensor, u: Tensor, Z: Tensor, pulls: Tensor) -> float:
-    """The largest share of flexible body k; loads as of `_loads`."""
+    """The largest share of flexible body k; loads as in `_loads`."""
     vectors = [pulls[..., i, :] for i, of in enumerate(T.vector_flexible.tolist()) if of == k]
     loads = torch.cat([u[..., k, :], Z[..., k, :, :].flatten(-2), *vectors], -1)
     Kg = torch.tensordot(loads, slopes, 1)

@@ -63,7 +63,7 @@ class History:
 
     @property
     def has_smaller_steps(self) -> bool:
-        """Whether there are states of some lanes between the times of the batch."""
+        """True if there are states of some lanes between the times of the batch."""
         return any(len(refined.history.q) > len(self.q) for refined in self.refined.values())
 
     def at_steps(self) -> list[Tensor]:

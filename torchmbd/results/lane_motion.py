@@ -42,12 +42,12 @@ class LaneMotion(NamedTuple):
 
 
 def has_lane_times(motion: MotionData) -> bool:
-    """Whether lanes have states besides those at the output times."""
+    """True if lanes have states besides those at the output times."""
     return bool(motion.switches) or getattr(motion.signals, "at_steps", None) is not None
 
 
 def has_checkpoints(motion: MotionData) -> bool:
-    """Whether there are steps between the states of a motion."""
+    """True if there are steps between the states of a motion."""
     integration = motion.signals.integration if isinstance(motion.signals, IntegratedSignals) else None
     return integration is not None and integration.has_checkpoints
 

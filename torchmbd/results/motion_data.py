@@ -27,7 +27,7 @@ R = TypeVar("R")
 
 
 def has_failed(status: str) -> bool:
-    """Whether a lane has no motion, or one that ends early; one that is unresolved has all its numbers."""
+    """True if a lane has no motion, or one that ends early; one that is unresolved has all its numbers."""
     return status.startswith("failed")
 
 
@@ -166,7 +166,7 @@ class MotionData(Summary):
 
     @property
     def is_single(self) -> bool:
-        """Whether the motion has one segment, in which all joints and laws of the system act."""
+        """True if the motion has one segment, in which all joints and laws of the system act."""
         return not self.actions
 
     @property
@@ -248,7 +248,7 @@ class MotionData(Summary):
 
     @property
     def ok(self) -> bool:
-        """Whether every lane succeeded."""
+        """True if every lane succeeded."""
         return all(status == OK for status in self.status)
 
     def require_ok(self) -> Self:

@@ -8,7 +8,7 @@ Points of a body run over its laminates, their cells, layers from the bottom, an
 `points` names them.
 The index of a body is the largest over all points; its derivative is that of the point of this largest index, exact wherever
 this point is unique.
-Differentiable by the design along `Trajectory.moved`: through w, the modes and the laminate itself.
+Differentiable with respect to the design along `Trajectory.moved`: through w, the modes and the laminate itself.
 Checked in tests/results/test_ply_history.py.
 """
 

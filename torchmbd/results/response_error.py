@@ -202,7 +202,7 @@ def _remainder(motion: Any, finer: Any, order: int | None) -> float:
 
 
 def _confirmed(motion: Any, response: Any, value: Tensor, error: Tensor, size: Tensor) -> Tensor:
-    """Whether a motion with twice the step says that values with this step and half of it do not agree by chance [lanes]."""
+    """True if a motion with twice the step says that values with this step and half of it do not agree by chance [lanes]."""
     coarse = motion.coarser()
     if coarse is None:
         return torch.zeros(motion.lanes, dtype=torch.bool)

@@ -12,7 +12,7 @@ remain in a free section.
 Forces vary linearly along an element, so its ends are where a stress is largest. The failure index of a body is the
 largest over ends and points; its derivative is that of the point of this largest index, exact wherever this point is unique.
 The criteria are those of plies (fem/materials/strength.py): the stress through the ply, 33, is in `stress`, but not judged.
-Differentiable by the design along `Trajectory.moved`: through w, the modes and the section itself.
+Differentiable with respect to the design along `Trajectory.moved`: through w, the modes and the section itself.
 Assumed: Saint-Venant's stresses; where a beam is held or its section changes the true ones differ.
 Checked in tests/results/test_section_history.py.
 """

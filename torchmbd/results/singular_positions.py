@@ -2,8 +2,8 @@
 
     s(t) = the singular value of Phi_q, rows of length one, that counts last at the start
 
-A mechanism has the rank of its start almost everywhere; where s comes near zero it gains a freedom for a moment, its
-motion may branch, and multipliers grow like 1/s. Minima of s below a threshold are reported: in the status of a lane that
+A mechanism has the rank of its start almost everywhere; where s comes near zero it gains a degree of freedom for a moment,
+its motion may branch, and multipliers grow like 1/s. Minima of s below a threshold are reported: in the status of a lane that
 failed, as a warning for a lane that failed before it was integrated again (integrate/retries.py).
 So are laws of forces by which a motion failed, those that are not finite just after its last finite state:
 
@@ -113,7 +113,7 @@ def positions_of_lane(motion: MotionData, lane: int) -> list[SingularPosition]:
 
 
 def _may_be_near(motion: MotionData, lane: int) -> bool:
-    """Whether a lane may come near to a singular position, by some of its states: all of a long motion take seconds."""
+    """True if a lane may come near to a singular position, by some of its states: all of a long motion take seconds."""
     every = -(-len(motion.t) // _SAMPLES)
     if every == 1 or not motion.dynamics.topology.rows:
         return True

@@ -107,7 +107,7 @@ class StepStates(NamedTuple):
     """States at the times of the steps by which each lane was integrated, differentiable as the motion is.
 
     q, v, vd, lam   [most, n, 1, lanes], without meaning beyond the last time of a lane;  counts: of times [1, 1, lanes]
-    segment         as of `History` [most, 1, lanes]
+    segment         as in `History` [most, 1, lanes]
     """
 
     q: Tensor

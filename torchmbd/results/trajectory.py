@@ -86,9 +86,7 @@ class Trajectory(MotionData):
         return self._kept(factor, lambda: self.repetition.finer(factor))
 
     def coarser(self) -> Trajectory | None:
-        """The same motion with half the number of steps, which is kept too. None for adaptive methods and for odd numbers of
-        steps.
-        """
+        """The same motion with half the number of steps, kept too; None for adaptive methods and odd numbers of steps."""
         return self._kept(0.5, self.repetition.coarser)
 
     def by_longer_steps(self) -> Trajectory | None:
@@ -99,13 +97,11 @@ class Trajectory(MotionData):
         return longer
 
     def richer(self) -> Trajectory | None:
-        """The same motion with more modes (integrate/repetition.py), which is kept too. None if the bodies do not have more
-        modes.
-        """
+        """The same motion with more modes (integrate/repetition.py), kept too; None if the bodies do not have more modes."""
         return self._kept("modes", lambda: self.repetition.richer(self))
 
     def with_finer_meshes(self) -> Trajectory | None:
-        """The same motion with finer meshes, which is kept too. None if no mesh can be refined."""
+        """The same motion with finer meshes, kept too; None if no mesh can be refined."""
         return self._kept("mesh", lambda: self.repetition.with_finer_meshes(self))
 
     def _kept(self, key: Any, make: Callable[[], Any]) -> Any:

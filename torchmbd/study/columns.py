@@ -3,7 +3,7 @@
 rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg where two parameters would share the name)
 spring.stiffness[0]          ->  stiffness           a parameter that is one number has no others to be distinguished from
 
-The extra variable of a min-max problem or of a worst case, the last of a vector, is no design and has no column.
+The extra variable of a min-max problem or of a worst case, the last of a vector, is not a design and has no column.
 
 Checked in tests/study/test_columns.py.
 """

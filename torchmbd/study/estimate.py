@@ -286,7 +286,7 @@ def _values_with_errors(problem: Problem, cost: Estimate, criteria: int) -> tupl
 
 
 def _steps_line(problem: Problem, share: float, reason: str) -> str:
-    """Return how many steps a motion has, and what they are worth; `share`, `reason` as of the two functions that make them."""
+    """Return how many steps a motion has, and what they are worth; `share`, `reason` as their two functions make them."""
     how = "chosen for the start design" if problem.chooses_steps else "as given"
     text = f"steps: by the method; {reason}" if problem.steps is None else f"steps: {problem.steps}, {how}"
     if reason:

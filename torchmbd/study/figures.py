@@ -1,4 +1,4 @@
-"""Figures that are no optimization: a function draws into a folder, and returns numbers and words about them.
+"""Figures that are not optimization: a function draws into a folder, and returns numbers and words about them.
 
     def figures(folder: Path, steps: int = 300) -> dict[str, float | str]
 
@@ -102,7 +102,7 @@ def run_figures(
     uri: str | StoreURI | None = None,
     offline: bool = False,
 ) -> int:
-    """Draw and track the figures; return the exit code. Arguments as of run.run_study; figures are always drawn."""
+    """Draw and track the figures; return the exit code. Arguments as in run.run_study; figures are always drawn."""
     if workers != 1 or scheduler is not None:
         raise InputError("workers and scheduler: figures are drawn in one process; allowed: torchmbd run without them")
     origin, where = (plan.source.path, plan.source.overrides), (plan.data.tracking.experiment, uri or plan.uri)

@@ -31,7 +31,7 @@ def gain_metric(sign: float) -> str:
 
 
 def is_design(metric: str) -> bool:
-    """Whether a metric is a design variable."""
+    """True if a metric is a design variable."""
     return metric.startswith(DESIGN)
 
 

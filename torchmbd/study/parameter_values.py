@@ -25,7 +25,7 @@ KEY = "parameters"
 
 
 def with_values_of_file(document: Document, folder: Path) -> None:
-    """Put the entries of the file that `parameters` names in its place; StudyError for one that is no mapping."""
+    """Put the entries of the file that `parameters` names in its place; StudyError for one that is not a mapping."""
     if not isinstance(document.data, dict) or not isinstance(document.data.get(KEY), str):
         return
     named = folder / document.data[KEY]

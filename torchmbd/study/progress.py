@@ -243,5 +243,5 @@ def outcome_cells(first: float, objective: float, violation: float, sign: float 
 
 
 def violation_cell(violation: float) -> str:
-    """Return the cell of a violation; the rounding of an active constraint is no violation."""
+    """Return the cell of a violation; the rounding of an active constraint is not a violation."""
     return f"{violation:.0e}" if violation > _ROUNDING else "0"

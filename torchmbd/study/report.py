@@ -231,7 +231,7 @@ def _motion_pictures(
 
 
 def draw_measures(problem: Problem, *arguments: Any) -> list[Any]:
-    """Draw the pictures of the measures of a problem (`Measure.drawing`), with arguments as of DRAWINGS; return the pages."""
+    """Draw the pictures of the measures of a problem (`Measure.drawing`), with arguments as in DRAWINGS; return the pages."""
     by_drawing: dict[str, list[Measure]] = {}
     outer = [problem.stated_objective, *(constraint.measure for constraint in problem.constraints)]
     for measure in _with_operands(*outer):

@@ -54,10 +54,10 @@ def si_of(settings: Settings) -> dict[str, Numbers]:
 
 
 class Scenario(Section):
-    """A scenario: values of parameters of the model that are no design variables, and its weight in means.
+    """A scenario: values of parameters of the model that are not design variables, and its weight in means.
 
     name     its name; default: scenario 1, 2, ...
-    set      parameters of the model that are no design variables, with their values [SI]; of angles with a unit
+    set      parameters of the model that are not design variables, with their values [SI]; of angles with a unit
     options  other arguments of the model's function in this scenario: its topology may differ
     weight   its weight in means
     """

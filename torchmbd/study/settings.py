@@ -80,7 +80,7 @@ class Outcome:
 
 
 class StudySettings(Summary):
-    """The settings of a study; arguments and errors as of torchmbd.study.study.Study."""
+    """The settings of a study; arguments and errors as in torchmbd.study.study.Study."""
 
     def __init__(
         self,
@@ -192,7 +192,7 @@ class StudySettings(Summary):
 
     @property
     def has_extra_variable(self) -> bool:
-        """Whether the last variable is that of a min-max problem or of a worst case, which is no design variable."""
+        """True if the last variable is that of a min-max problem or of a worst case, which is not a design variable."""
         return bool(getattr(self.problem, "has_extra_variable", False))
 
     @property

@@ -77,7 +77,7 @@ class Study(StudySettings):
 
         If the study is finished, `run` takes its results from stored evaluations.
 
-        workers, scheduler, fresh   as of `torchmbd run`: processes that evaluate, a Dask cluster, forget stored evaluations
+        workers, scheduler, fresh   as in `torchmbd run`: processes that evaluate, a Dask cluster, forget stored evaluations
         console                     where it shows its progress, of rich; None: standard output; Console(quiet=True): nowhere
         A script with workers keeps what it does under `if __name__ == "__main__":`, since every process imports it.
         """
@@ -85,7 +85,7 @@ class Study(StudySettings):
         return self
 
     def check(self, console: Console | None = None) -> Estimate | None:
-        """Measure two short motions, print the cost of the study, and return it; None if the problem is no mbd.Problem."""
+        """Measure two short motions, print the cost of the study, and return it; None without an mbd.Problem."""
         return print_estimate(self, console or Console())
 
     def report(self, path: str | Path | None = None) -> Path:

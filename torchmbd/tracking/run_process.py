@@ -31,7 +31,7 @@ def process_tag() -> str:
 
 
 def has_ended(tag: str) -> bool:
-    """Whether the process of a tag has ended; False if this machine cannot know it."""
+    """True if the process of a tag has ended; False if this machine cannot know it."""
     machine, _, rest = tag.partition(" ")
     here = _place().split(" ")
     if len(rest.split(" ")) != 4 or machine != here[0]:

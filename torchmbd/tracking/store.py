@@ -46,7 +46,7 @@ _SETTINGS = {  # of MLflow
 
 
 def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
-    """Return the URI of the store to use, a SQLite path made absolute; InputError if it is no URI of a store."""
+    """Return the URI of the store to use, a SQLite path made absolute; InputError if it is not a URI of a store."""
     name = "uri" if uri else "MLFLOW_TRACKING_URI" if os.environ.get("MLFLOW_TRACKING_URI") else "the store"
     chosen = checked_uri(uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}", name)
     if chosen.masked:
@@ -82,7 +82,7 @@ def checked_uri(uri: str | StoreURI, name: str = "uri") -> StoreURI:
 
 
 def uri_fault(uri: StoreURI) -> str | None:
-    """Return why a URI is no store, None if it may be one."""
+    """Return why a URI is not a store, None if it may be one."""
     scheme, separator, place = uri.whole.partition("://")
     if not separator or scheme.partition("+")[0] not in SCHEMES or (scheme == "sqlite" and place[:1] != "/"):
         return f"a store is one of {', '.join(f'{name}:' for name in SCHEMES)}; allowed: such as sqlite:///mlflow.db"

@@ -138,7 +138,7 @@ class StudyStore:
         shutil.copyfile(file, target / folder / file.name)
 
     def _is_known(self, client: MlflowClient, run: str, point: Point) -> bool:
-        """Whether an earlier process has written a metric at its step."""
+        """True if an earlier process has written a metric at its step."""
         if run not in (self._earlier or {}):
             return False
         if (run, point.key) not in self._known:

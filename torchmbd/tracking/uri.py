@@ -51,12 +51,12 @@ class StoreURI:
 
     @property
     def masked(self) -> bool:
-        """Whether the URI is a text of another one, so that its user part is lost."""
+        """True if the URI is a text of another one, so that its user part is lost."""
         return f"{MASK}@" in self.whole or self.whole.endswith(f"?{MASK}")
 
     @property
     def served(self) -> bool:
-        """Whether the store is a server of MLflow."""
+        """True if the store is a server of MLflow."""
         return self.whole.startswith(("http:", "https:"))
 
     @property

@@ -140,7 +140,7 @@ def weighted_parts(
 ) -> Figure | None:
     """The parts of an objective that is a sum, times their weights: a bar for each design; None for other objectives.
 
-    Arguments as of `criteria_over_time`.
+    Arguments as in `criteria_over_time`.
 
     >>> arm = mbd.examples.arm()
     >>> both = mbd.WeightedSum([(0.7, mbd.Mass("arm")), (0.3, mbd.Integral(mbd.StrainEnergy("arm")))])

@@ -43,7 +43,7 @@ def failure_map(
     motion     a lane for each design
     body       name of the body; its plies have a Strength
     labels     a name for each lane; None: "design 1", "design 2", ...
-    criterion  as of `PlyFailure`
+    criterion  as in `PlyFailure`
     title      of the figure
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)

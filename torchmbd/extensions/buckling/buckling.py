@@ -2,7 +2,7 @@
 
     K u = f,      (K + factor Kg(u)) shape = 0
 
-K, Kg     stiffness and geometric stiffness (fem/elements/geometric.py) on the freedoms without supports
+K, Kg     stiffness and geometric stiffness (fem/elements/geometric.py) on the degrees of freedom without supports
 u         displacements under the loads and the displacements of supports; supports do not move in buckling
 1/factor  are eigenvalues of -Kg shape = (1/factor) K shape, so the factors of loads that only stiffen are infinite
 
@@ -58,13 +58,13 @@ class Buckling(NamedTuple):
 
 
 def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None, number: int = 1) -> Buckling:
-    """Find the lowest positive factors of loads at which a body buckles; differentiable by its parameters.
+    """Find the lowest positive factors of loads at which a body buckles; differentiable with respect to its parameters.
 
     body      a FlexibleBody
     loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total: 3 or 6 numbers, spread over the areas
               or lengths of the cells and sides of a node set. Nodes: a node, a set, or a tuple of these
-    supports  nodes -> supported freedoms, as "u1 u3 phi2", or "all"; or six numbers, imposed displacements and rotations
-              [m, rad], None for a free one. None: the reference nodes of the body are clamped
+    supports  nodes -> supported degrees of freedom, as "u1 u3 phi2", or "all"; or six numbers, imposed displacements and
+              rotations [m, rad], None for a free one. None: the reference nodes of the body are clamped
     number    of factors
     Raises InputError where arguments are wrong or the supports leave the body movable.
 
@@ -82,7 +82,7 @@ def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None,
 class BucklingCase:
     """A body with loads and supports, ready to find its buckling factors in any design: `case(number)`.
 
-    body, loads, supports as of `buckling`. Raises InputError where these are wrong.
+    body, loads, supports as in `buckling`. Raises InputError where these are wrong.
     """
 
     def __init__(self, body: FlexibleBody, loads: Loads, supports: Supports | None = None) -> None:

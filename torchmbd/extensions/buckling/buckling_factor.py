@@ -38,7 +38,7 @@ class BucklingFactor(Measure):
     body      its name
     loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total; None: the stress of the motion, 1 over
               the peak of BucklingIndex
-    supports  nodes -> freedoms that are held, as "u1 u3", or imposed; None: the reference nodes
+    supports  nodes -> degrees of freedom that are held, as "u1 u3", or imposed; None: the reference nodes
     number    1 is the lowest
     Where factors coincide, the gradient is the mean of their gradients, as for `Frequency`.
 

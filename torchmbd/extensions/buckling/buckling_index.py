@@ -5,8 +5,8 @@
 The index is 1 / buckling factor of the stress at that time: of the retained modes as they move, and of the static
 displacements that inertia, gravity, joints and forces make besides (unit_loads.py). Where it is one, the body
 buckles on its supports under loads that stay as they are.
-Assumed: as of `buckling`; inertia of the bent body beyond what the retained modes feel is small against that of the undeformed.
-Checked in tests/contracts/test_responses.py, tests/extensions/buckling/test_buckling_index.py.
+Assumed: as in `buckling`; inertia of the bent body beyond what the retained modes feel is small against that of the
+undeformed. Checked in tests/contracts/test_responses.py, tests/extensions/buckling/test_buckling_index.py.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class BucklingIndex(History):
     Zero where the stress only stiffens. Where indices coincide the gradient is the mean of theirs.
 
     body      its name; plates and beams
-    supports  nodes -> freedoms that are held while it buckles, as "u1 u3", in mesh axes; None: the reference nodes
+    supports  nodes -> degrees of freedom that are held while it buckles, as "u1 u3", in mesh axes; None: the reference nodes
     number    1 is the largest index
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)

@@ -1,7 +1,7 @@
 """The eigenproblem of buckling, -Kg x = (1 / factor) K x, on sparse matrices of one pattern.
 
-Solved by a dense method below SMALL freedoms, else by Lanczos's method; derivatives are those of K and Kg between eigenvectors.
-Checked in tests/extensions/buckling/test_buckling.py.
+Solved by a dense method below SMALL degrees of freedom, else by Lanczos's method; derivatives are those of K and Kg between
+eigenvectors. Checked in tests/extensions/buckling/test_buckling.py.
 """
 
 from __future__ import annotations

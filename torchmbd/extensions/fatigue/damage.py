@@ -224,7 +224,7 @@ def _stresses(motion: Trajectory, name: str) -> list[tuple[Tensor, Tensor | None
 
 
 def _worst_damage(basis: Tensor, strengths: Tensor | None, rule: FatigueDamage, motion: Trajectory) -> Tensor:
-    """Damage [lanes] at the point and in the component where it is largest; arguments as of `_stresses`."""
+    """Damage [lanes] at the point and in the component where it is largest; arguments as in `_stresses`."""
     lanes = torch.arange(motion.lanes)
     with torch.no_grad():
         component, point = _worst_points(basis, _modal_coordinates(motion, rule.body), strengths, rule)

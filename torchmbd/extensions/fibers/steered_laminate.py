@@ -46,10 +46,10 @@ class SteeredLaminate(Laminate):
 
     ply               one Ply, or one per given layer; its numbers do not vary
     angles            [controls, layers], from bottom to top [rad]; or [layers], where all controls start
-    thickness         [controls, layers] [m]; or a number, or [layers], which does not vary over the mesh: as of Laminate.
+    thickness         [controls, layers] [m]; or a number, or [layers], which does not vary over the mesh: as in Laminate.
                       A torch.nn.Parameter with an axis of controls is registered itself
     field             control points and how cells follow from them
-    symmetric, shear_correction   as of Laminate
+    symmetric, shear_correction   as in Laminate
 
     `stiffness`, `mass_per_area`, `layer_angles` and so on have an axis of cells: [..., cells, ...].
 

@@ -2,8 +2,8 @@
 
     shown(t) = gain y(t - delay) + offset        y: a history of the model, such as mbd.Position("tip", "x")
 
-Delay, gain and offset are numbers, or unknowns: mbd.variable(...). The derivative by the delay is that of the curve through the
-states of the motion (design/spline.py).
+Delay, gain and offset are numbers, or unknowns: mbd.variable(...). The derivative with respect to the delay is that of the
+curve through the states of the motion (design/spline.py).
 Checked in tests/extensions/identification/test_time_series.py.
 """
 

@@ -1,13 +1,13 @@
 """Deviations of channels that are not given: estimated from the residuals by restricted maximum likelihood.
 
-    nu_c = n_c - tr H_cc              freedoms of a channel: its numbers less the unknowns that it determines
+    nu_c = n_c - tr H_cc              degrees of freedom of a channel: its numbers less the unknowns that it determines
     sigma_c^2 = |r_c|^2 / nu_c        repeated with the unknowns of the least squares that the sigmas weigh
     L = sum_c n_c ln sigma_c + 1/2 sum |r|^2 / sigma^2 + 1/2 ln det J'J       the restricted likelihood is exp(-L)
 
-H = J (J'J)^+ J', r and J in deviations. A channel whose numbers determine as many unknowns has no freedoms: nothing is known of
-its noise, and its deviation stays. Several sets of sigmas can repeat themselves: a few numbers that agree with each other can
-outvote many. So the repetition also begins with the residuals that the fit has without one channel, for each; the set
-with the smallest L is taken.
+H = J (J'J)^+ J', r and J in deviations. A channel whose numbers determine as many unknowns has no degrees of freedom: nothing
+is known of its noise, and its deviation stays. Several sets of sigmas can repeat themselves: a few numbers that agree with
+each other can outvote many. So the repetition also begins with the residuals that the fit has without one channel, for each;
+the set with the smallest L is taken.
 
 Residuals are linear in the unknowns here; the fit is repeated with the result.
 Sources: Patterson and Thompson, Biometrika 58 (1971) 545-554; Förstner, Ein Verfahren zur Schätzung von Varianz- und
@@ -46,7 +46,7 @@ class Group:
 
     @classmethod
     def of(cls, values: np.ndarray, jacobian: np.ndarray, estimated: bool) -> Group:
-        """Residuals [rows] and their derivatives by the unknowns in units of their sizes [rows, n]."""
+        """Residuals [rows] and their derivatives with respect to the unknowns in units of their sizes [rows, n]."""
         return cls(len(values), float(values @ values), jacobian.T @ values, jacobian.T @ jacobian, estimated)
 
 

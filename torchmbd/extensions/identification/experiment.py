@@ -132,7 +132,7 @@ class Experiment(Summary):
         return result
 
     def has_steps(self, limits: Limits) -> bool:
-        """Whether its measurements need a motion, by a method whose error falls with the square of its equal steps."""
+        """True if its measurements need a motion, by a method whose error falls with the square of its equal steps."""
         return isinstance(self.simulation.integrator, OneStep) and any(x.until(limits) > 0.0 for x in self.measurements)
 
     def run(self, designs: dict[str, Tensor], lanes: int, gradients: bool, steps: int | None) -> Run:

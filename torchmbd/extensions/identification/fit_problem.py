@@ -46,7 +46,7 @@ class Residuals:
 
     @property
     def ok(self) -> bool:
-        """Whether there are numbers."""
+        """True if there are numbers."""
         return self.status == OK
 
 
@@ -65,7 +65,7 @@ class Rows:
 
     @property
     def estimated(self) -> bool:
-        """Whether the deviation is estimated from the residuals."""
+        """True if the deviation is estimated from the residuals."""
         return self.block.deviation is None
 
 
@@ -74,7 +74,7 @@ class FitProblem:
 
     experiments   by name
     unknowns      names of parameters of their systems; those of measurements are unknowns of themselves
-    bounds, start, links   as of DesignSpace
+    bounds, start, links   as in DesignSpace
     priors        parameter name -> (mean, standard deviation), of its entries
     """
 
@@ -188,7 +188,7 @@ class FitProblem:
 
     @property
     def estimated(self) -> bool:
-        """Whether the deviations of some channels are estimated from the residuals."""
+        """True if the deviations of some channels are estimated from the residuals."""
         return any(x.estimated for x in self.rows)
 
     def with_deviations(self, deviations: np.ndarray) -> FitProblem:
@@ -209,7 +209,7 @@ class FitProblem:
         return slice(rows[0].start, rows[-1].stop)
 
     def has_unknown_gain(self, row: Rows) -> bool:
-        """Whether the gain of a channel is an unknown."""
+        """True if the gain of a channel is an unknown."""
         return f"{row.block.channel}.gain" in self._names[row.experiment]
 
     def errors_by_steps(self, x: np.ndarray, shown: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, str]]:
@@ -256,7 +256,7 @@ class FitProblem:
         return Residuals(np.full(self.data + len(self.prior_rows), np.nan), None, status)
 
     def _of_experiment(self, name: str, X: np.ndarray, gradients: bool) -> list[Residuals]:
-        """Predictions of an experiment, in SI, with derivatives by all entries of the space, for each design."""
+        """Predictions of an experiment, in SI, with derivatives with respect to all entries of the space, for each design."""
         experiment, entries = self.experiments[name], self.space.designs(X)
         own_parameters = dict(experiment.system.named_parameters())
         designs = {key: x for key, x in entries.items() if key in own_parameters}

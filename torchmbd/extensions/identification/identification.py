@@ -170,12 +170,12 @@ class Identification(Summary):
 
     @property
     def _unknown_noise(self) -> list[Rows]:
-        """Channels whose deviation is neither given nor to be estimated, since they have no freedoms."""
+        """Channels whose deviation is neither given nor to be estimated, since they have no degrees of freedom."""
         return [row for row in self.problem.rows if row.estimated and not self._freedoms_of_channels[row.name]]
 
     @cached_property
     def _known_jacobian(self) -> np.ndarray:
-        """Derivatives by the searched unknowns [rows, n] of numbers with a known noise; zero for the others."""
+        """Derivatives with respect to the searched unknowns [rows, n] of numbers with a known noise; zero for the others."""
         result = self._jacobian[:, self.searched].copy()
         for row in self._unknown_noise:
             result[row.rows] = 0.0

@@ -71,14 +71,14 @@ def identify(
     unknowns         names of parameters of their systems; all entries of each. Delays, gains and offsets of channels that are
                      mbd.variable(...) are unknowns too: "<channel>.delay"; of several experiments
                      "<experiment>.<channel>.delay"
-    bounds, start, links   as of DesignSpace, by names of parameters; a delay needs finite bounds. Masses, moduli and
+    bounds, start, links   as in DesignSpace, by names of parameters; a delay needs finite bounds. Masses, moduli and
                      other positive parameters are at least 0
     priors           parameter name -> (mean, standard deviation): what is known of an unknown before
     scales           parameter name -> size of its changes; default: |start|, or by the data where the start is zero, or tiny
                      beside the range of its bounds, and of offsets and delays
     validation       experiments that are held out: the fitted model is compared with them
     loss, f_scale    "linear", "soft_l1", "huber", "cauchy" or "arctan", and the residual, in deviations, beyond which one
-                     counts as an outlier; as of scipy.optimize.least_squares. Priors are never outliers
+                     counts as an outlier; as in scipy.optimize.least_squares. Priors are never outliers
     starts           mbd.sobol(...), mbd.latin_hypercube(...), or a list of designs; None: the start alone
     tolerance        largest error of the unknowns at the end of the search, as a share of their standard deviations
     max_evaluations  simulated designs of each start at most

@@ -40,7 +40,7 @@ class FitSettings:
 
     lower, upper          bounds of the unknowns [n]
     scale                 their units [n]; nan: by the data, at the start (scales.py)
-    data                  rows of the residuals that are no priors
+    data                  rows of the residuals that are not priors
     loss, f_scale         of these rows (losses.py)
     tolerance             part of the unknowns' deviations that a step to the minimum may be
     max_evaluations       designs at most

@@ -3,7 +3,7 @@ takes them.
 
     cost = 1/2 sum_k scale^2 rho(z_k)
 
-Priors are no data: theirs is always the plain square. So one loss is applied to the measured rows alone, which the names of
+Priors are not data: theirs is always the plain square. So one loss is applied to the measured rows alone, which the names of
 SciPy's own losses cannot say; these are the same functions.
 Source: Triggs et al., Bundle adjustment - a modern synthesis (2000); documentation of scipy.optimize.least_squares.
 Checked in tests/extensions/identification/test_losses.py.

@@ -50,8 +50,8 @@ class Prediction:
     """Numbers of the model for a batch of designs.
 
     value        [lanes, rows]
-    by_design    derivative by the variables of the run [lanes, rows, n_b]; None without gradients
-    by_unknown   derivative by own unknowns of the measurement [lanes, rows], by name
+    by_design    derivative with respect to the variables of the run [lanes, rows, n_b]; None without gradients
+    by_unknown   derivative with respect to own unknowns of the measurement [lanes, rows], by name
     status       of each lane: "ok", or why it has no numbers
     notes        what the result tells of the prediction, such as how modes were paired
     """

@@ -4,8 +4,8 @@
     MAC = |phi' psi|^2 / (phi' phi . psi' psi)         phi measured, psi of the model, at the sensors
 
 Shapes pair modes: measured ones with those of the model, each with another, so that the sum of their MAC is largest. A measured
-mode whose MAC is too small at the start has no partner and is left out, by name. Shapes themselves are no residuals: those of
-the model have no derivatives. Without shapes modes are paired by their order.
+mode whose MAC is too small at the start has no partner and is left out, by name. Shapes themselves are not residuals: those
+of the model have no derivatives. Without shapes modes are paired by their order.
 Frequencies are natural ones, those without damping. Sources: Allemang, Sound and Vibration 37 (2003) 14-23 (MAC); the pairs are
 those of scipy.optimize.linear_sum_assignment.
 Checked in tests/extensions/identification/test_modal_data.py.
@@ -68,7 +68,8 @@ class ModalData(Measurement):
     damping      damping ratios [modes] [-], nan where there is none; None: not measured
     shapes       [sensors, modes], of any scale; None: modes are paired by their order
     sensors      of the rows of the shapes: positions such as mbd.Position("arm", "z", node="right"), of points and directions
-    modes        without shapes: numbers of the modes of the model, 1 for the lowest that is no rigid motion; default: 1, 2, ...
+    modes        without shapes: numbers of the modes of the model, 1 for the lowest that is not a rigid motion; default: 1,
+                 2, ...
     frequency_share, damping_share   standard deviations, as shares of what was measured
     least_mac    of a pair of modes
     options      of `equilibrium`: spin, center, observer for vibrations in a steady rotation, times
@@ -213,7 +214,7 @@ class ModalData(Measurement):
         return Pairing([modes[k - 1] for k in self.numbers], [math.nan] * len(self.numbers))
 
     def _elastic(self, rest: Equilibrium, lane: int) -> list[int]:
-        """Numbers of the vibrations of the model that are no rigid motions, from 0."""
+        """Numbers of the vibrations of the model that are not rigid motions, from 0."""
         f = rest.vibrations[lane].frequencies
         if bool(f.isnan().any()):
             raise DesignFailure("vibrations about the equilibrium grow, so that its modes are no frequencies")
@@ -221,7 +222,7 @@ class ModalData(Measurement):
         return [k for k, x in enumerate(f.tolist()) if x > _ZERO * largest]
 
     def _mac(self, rest: Equilibrium, lane: int) -> np.ndarray:
-        """MAC [measured, vibrations that are no rigid motions]."""
+        """MAC [measured, vibrations that are not rigid motions]."""
         modes = self._elastic(rest, lane)
         if len(modes) < len(self.frequencies):
             raise InputError(f"{len(self.frequencies)} modes are measured, and the model has {len(modes)} vibrations")

@@ -28,7 +28,7 @@ class Run:
     settings     values of other parameters, by name
     simulation   of the system, which makes its motions
     lanes        of the batch
-    gradients    whether derivatives by the unknown parameters are wanted
+    gradients    whether derivatives with respect to the unknown parameters are wanted
     """
 
     system: System
@@ -69,7 +69,7 @@ class Run:
         return self.simulation(self.parameters, "none")
 
     def equilibrium(self, system: System, **options: Any) -> Equilibrium:
-        """The equilibrium of all lanes of the system, or of one with the same parameters; options as of `equilibrium`."""
+        """The equilibrium of all lanes of the system, or of one with the same parameters; options as in `equilibrium`."""
         differentiable = self.gradients and bool(self.variables)
         designs = {
             name: x.detach().clone().requires_grad_(differentiable and name in self.variables)
@@ -80,7 +80,7 @@ class Run:
             return equilibrium(system, designs=designs, variables=variables, start=self.rest_start, **options)
 
     def of_motion(self, f: Callable[[Trajectory], Tensor]) -> ValueAndGradient:
-        """A function of the motion [lanes, rows], with its gradient by the variables where it is wanted."""
+        """A function of the motion [lanes, rows], with its gradient with respect to the variables where it is wanted."""
         if self.gradients and self.designs:
             return push_forward(f, self.motion)
         value, _ = differentiate(f, self.motion)

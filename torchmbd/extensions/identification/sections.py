@@ -178,7 +178,7 @@ class ExperimentData(Section):
     static_curve  channels at rest under several loads
     modal_data    frequencies, damping ratios and mode shapes
     frequency_responses   amplitudes of outputs by that of an input
-    set          parameters of the model that are no unknowns, with their values [SI]; of angles with a unit
+    set          parameters of the model that are not unknowns, with their values [SI]; of angles with a unit
     options      other arguments of the model's function in this experiment
     duration     of the motion [s]; default: until the last measured time
     start        instead of that of `simulate`

@@ -112,7 +112,7 @@ class StaticCurve(Measurement):
         return Prediction(gains * value + offsets, slopes, by_unknown, [OK] * run.lanes)
 
     def _path(self, run: Run, lane: int) -> tuple[Tensor, Tensor]:
-        """Numbers [rows] of one design, and their derivatives by the variables [rows, n_b]; zeros without gradients."""
+        """Numbers [rows] of one design, and their derivatives in the variables [rows, n_b]; zeros without gradients."""
         loads = {name: torch.from_numpy(x) for name, x in self.loads.items()}
         count = len(next(iter(loads.values())))
         shapes = {name: x.shape for name, x in run.system.named_parameters()}
@@ -137,7 +137,7 @@ class StaticCurve(Measurement):
 
 
 def _load(table: Table, column: str) -> np.ndarray:
-    """Values of a load in SI; InputError for one that is no number."""
+    """Values of a load in SI; InputError for one that is not a number."""
     factor, _ = table.factor(column, None)
     values = factor * table.columns[column]
     wrong = np.flatnonzero(~np.isfinite(values))
@@ -164,7 +164,7 @@ def _check_channel(name: str, channel: Channel, present: np.ndarray) -> None:
 
 
 def _counts_from_start(response: History) -> bool:
-    """Whether a response, or a part of it, is a change since the start of a motion."""
+    """True if a response, or a part of it, is a change since the start of a motion."""
     if isinstance(response, Combined):
         return any(_counts_from_start(part) for part in response.parts if isinstance(part, History))
     return isinstance(response, Displacement) and (response.node is None or response.observer != response.body)

@@ -4,10 +4,10 @@
     kappa = 1                                 the plain square
     kappa = mean psi^2 / (mean psi')^2        robust losses, psi = rho' r                   (M-estimators)
     b_i +- (sum_c t(0.975, nu_c)^2 v_ic)^1/2          interval of 95 %; v_ic: what the noise of channel c adds to the
-                                              variance of b_i, the diagonal of cov; nu_c: freedoms of its deviation
+                                              variance of b_i, the diagonal of cov; nu_c: degrees of freedom of its deviation
 
-Deviations that are given are known, with infinitely many freedoms: their t is that of the normal distribution. The interval
-holds the truth with at least 95 % (Banerjee), whatever the shares of the channels.
+Deviations that are given are known, with infinitely many degrees of freedom: their t is that of the normal distribution. The
+interval holds the truth with at least 95 % (Banerjee), whatever the shares of the channels.
 Directions that the data cannot see (unseen.py) leave the unknowns with a part in them without a deviation; all others have
 what these directions add to theirs.
 Ljung-Box: Q = N (N + 2) sum_k r_k^2 / (N - k) of the autocorrelations r_k of the residuals of a channel, chi-squared where they
@@ -51,7 +51,7 @@ def influence(jacobian: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def covariance(jacobian: np.ndarray, size: np.ndarray, kappa: float) -> np.ndarray:
-    """Covariance [n, n] of the unknowns; infinite variance of those that the data cannot see. Arguments as of `influence`."""
+    """Covariance [n, n] of the unknowns; infinite variance of those that the data cannot see. Arguments as in `influence`."""
     moves, lost = influence(jacobian, size)
     result = kappa * (moves @ moves.T)
     result[lost, :] = np.nan
@@ -63,7 +63,7 @@ def covariance(jacobian: np.ndarray, size: np.ndarray, kappa: float) -> np.ndarr
 def half_widths(moves: np.ndarray, channels: Sequence[tuple[slice, float]], level: float) -> np.ndarray:
     """Half the widths [n] of intervals of a level (Banerjee), without the factor of the covariance.
 
-    moves     as of `influence`;  channels: rows of each whose deviation is estimated, and its freedoms
+    moves     as in `influence`;  channels: rows of each whose deviation is estimated, and its degrees of freedom
     """
     quantiles = np.full(moves.shape[1], quantile(np.inf, level))
     for rows, free in channels:

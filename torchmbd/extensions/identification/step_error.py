@@ -42,7 +42,7 @@ class StepError:
 
     @property
     def meets(self) -> bool:
-        """Whether every unknown moves by less than SHARE of its deviation."""
+        """True if every unknown moves by less than SHARE of its deviation."""
         return bool((self.share <= SHARE).all())
 
 

@@ -147,7 +147,7 @@ def _read(file: Path, names: Sequence[str]) -> Table:
 
 
 def _is_regular(file: Path, separator: str, fields: int) -> bool:
-    """Whether every line has the separators that its fields ask for: pandas drops fields that are too many, and takes those
+    """True if every line has the separators that its fields ask for: pandas drops fields that are too many, and takes those
     that are missing for gaps. Lines that are empty, and those with quotes, are left to `_fault`."""
     before = 0  # separators of a line that began in the chunk before
     with open(file, "rb") as data:

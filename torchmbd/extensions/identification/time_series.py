@@ -3,8 +3,8 @@
     r_k = (gain y(t_k - delay) + offset - measured_k) / deviation
 
 y is the curve through the states of the motion: a Hermite polynomial of fifth degree with exact rates where the response has
-them, else of third degree (design/spline.py). Derivatives by parameters of the system are those of the steps, pushed forward
-through this curve (design/differentiate.py).
+them, else of third degree (design/spline.py). Derivatives with respect to parameters of the system are those of the steps,
+pushed forward through this curve (design/differentiate.py).
 
 Checked in tests/extensions/identification/test_time_series.py.
 """
@@ -47,8 +47,8 @@ class TimeSeries(Measurement):
     channels  name -> mbd.Channel(...), or a history whose name is that of its column
     time      name of the column of times, in ascending order [s], from the start of the motion; a unit may stand in its heading
 
-    Raises InputError for columns that do not exist, with the nearest name; for a field that is no number, with its line; for
-    times that do not increase; for a channel of gaps alone.
+    Raises InputError for columns that do not exist, with the nearest name; for a field that is not a number, with its line;
+    for times that do not increase; for a channel of gaps alone.
 
     >>> t = np.linspace(0.0, 1.0, 50)
     >>> series = mbd.TimeSeries({"t": t, "x": np.sin(t)}, {"x": mbd.Position("bob", "x")})

@@ -69,7 +69,7 @@ def run_identification(
     uri: str | StoreURI | None = None,
     offline: bool = False,
 ) -> int:
-    """Fit the model and track it; return the exit code. Arguments as of run.run_study."""
+    """Fit the model and track it; return the exit code. Arguments as in run.run_study."""
     if workers != 1 or scheduler is not None:
         raise InputError("workers and scheduler: a fit is one process; allowed: torchmbd run without them")
     origin, where = (plan.source.path, plan.source.overrides), (plan.data.tracking.experiment, uri or plan.uri)

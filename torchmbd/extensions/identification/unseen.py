@@ -151,7 +151,7 @@ def _forms(
 
 
 def _stays(parts: np.ndarray, x: np.ndarray, moved: np.ndarray, size: np.ndarray, evaluate: Evaluate) -> bool:
-    """Whether the residuals stay where the parts are moved together, beside those where the first is moved alone."""
+    """True if the residuals stay where the parts are moved together, beside those where the first is moved alone."""
     before = evaluate(x)
 
     def change(indices: np.ndarray) -> float:

@@ -45,7 +45,7 @@ class LaminationParameters(Laminate):
     ply         a Ply; its numbers do not vary
     thickness   of the whole laminate [m]; a number does not vary
     membrane    means over the thickness of cos 2t, sin 2t, cos 4t, sin 4t, with the ply angle t [4]
-    bending     the same weighted with 12 z^2 / h^2 [4]; None: those of `membrane`, as of many thin alternating plies
+    bending     the same weighted with 12 z^2 / h^2 [4]; None: those of `membrane`, as for many thin alternating plies
     coupling    the same weighted with 4 z / h [4]; None: a symmetric stack
     field       of parameters that vary over a mesh: [controls, 4], thickness [controls] or a number
     shear_correction   k of As = k h G

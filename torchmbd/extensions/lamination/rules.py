@@ -78,7 +78,7 @@ class LaminationRules:
         return broken
 
     def admits(self, angles: Sequence[float], thickness: Sequence[float] | float = 1.0) -> bool:
-        """Whether a stack keeps all rules."""
+        """True if a stack keeps all rules."""
         return not self.broken(angles, thickness)
 
     def _symmetry_errors(self, plies: list[float], h: list[float]) -> list[str]:

@@ -54,5 +54,5 @@ def _refusal(fault: str) -> InputError:
 
 
 def is_nastran(path: Path) -> bool:
-    """Whether the name of a file is that of bulk data."""
+    """True if the name of a file is that of bulk data."""
     return path.suffix.lower() in (".bdf", ".fem", ".nas")

@@ -3,9 +3,9 @@
 Each PCOMP and PSHELL is a part of its own, "pcomp_7", and where elements have several ZOFFS one more for each further one,
 "pcomp_7_offset_1", with parameters of its own; each PBAR another, its bars where their offsets put them (bars.py). Rods,
 springs, bushings and solids: springs.py. RBE2, RBAR, RBE3 and MPC become links (rigids.py), and the grid of each rigid element
-a named node, "rbe2_30", where a frame may sit; CONM2 are point masses, and NSM (nsm.py). Grids whose six freedoms are held
-(SPC, SPC1) become the reference of the body; other supports are left out, with a warning: joints do that in a mechanism.
-Checked in tests/extensions/nastran/test_read_bdf.py.
+a named node, "rbe2_30", where a frame may sit; CONM2 are point masses, and NSM (nsm.py). Grids whose six degrees of freedom
+are held (SPC, SPC1) become the reference of the body; other supports are left out, with a warning: joints do that in a
+mechanism. Checked in tests/extensions/nastran/test_read_bdf.py.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def _beams(data: BulkData, bulk: BulkMesh, scale: Units) -> dict[str, Part]:
 
 
 def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
-    """Return the nodes whose six freedoms are held; None without any. Warn of supports of single freedoms."""
+    """Return the nodes whose six degrees of freedom are held; None without any. Warn of nodes that are held in part."""
     components: dict[int, set[str]] = {}
     for support in data.supports:
         for grid in support.grids:

@@ -43,7 +43,7 @@ class Deck(NamedTuple):
 class DeckText(NamedTuple):
     """The lines of a file as they are, with those of the files that it includes, and the digest and paths of all files read.
 
-    Bytes that are no UTF-8 are surrogates, which the error handler "surrogateescape" writes again.
+    Bytes that are not UTF-8 are surrogates, which the error handler "surrogateescape" writes again.
     """
 
     lines: list[str]
@@ -136,7 +136,7 @@ def line_kind(line: str) -> str:
 class _Files:
     """Lines of a file and of those that it includes, from its own folder only; what is read is bounded.
 
-    errors  how bytes that are no UTF-8 are read: as `open` takes it
+    errors  how bytes that are not UTF-8 are read: as `open` takes it
     """
 
     def __init__(self, first: Path, errors: str = "replace") -> None:

@@ -4,7 +4,7 @@
 
 Refused by card and line: a card that is neither read nor known to be no structure (inert.py), a duplicate, a property or
 material or grid that does not exist, a field that is missing. Loads and the like are left out; `ignored` counts them.
-Elements of scalar points (SPOINT) alone, and springs to the ground, are no part of a body: they are left out, and listed.
+Elements of scalar points (SPOINT) alone, and springs to the ground, are not part of a body: they are left out, and listed.
 Source: MSC Nastran Quick Reference Guide, section 8.
 Checked in tests/extensions/nastran/test_data.py.
 """

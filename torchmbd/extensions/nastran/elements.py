@@ -29,7 +29,7 @@ OTHER_PROPERTIES = ("PROD", "PTUBE", "PELAS", "PBUSH", "PSOLID", "PSHEAR")
 
 
 class ScalarPoints:
-    """Numbers of SPOINT and EPOINT: freedoms without a position, which no element of a body joins."""
+    """Numbers of SPOINT and EPOINT: degrees of freedom without a position, which no element of a body joins."""
 
     def __init__(self, cards: list[Card]) -> None:
         ranges: list[tuple[int, int]] = []

@@ -43,5 +43,5 @@ _INERT = re.compile("|".join(f"(?:{kind})" for kind in _KINDS))
 
 
 def is_inert(name: str) -> bool:
-    """Whether a card is known to carry neither mass nor stiffness nor support."""
+    """True if a card is known to carry neither mass nor stiffness nor support."""
     return _INERT.fullmatch(name) is not None

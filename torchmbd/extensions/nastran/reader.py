@@ -33,7 +33,7 @@ def read_bdf(
     mass      "lumped", or "consistent", for comparison
     density   of materials without RHO [kg/m3], as in decks for statics; None: they are refused
     options   position, axes, damping, reference, reduction, interface, updated, stiffening: as in `FlexibleBody.plate`; without
-              a reference it is the grids whose six freedoms the file fixes (SPC, SPC1)
+              a reference it is the grids whose six degrees of freedom the file fixes (SPC, SPC1)
     Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.
 
     >>> cards = "MAT1,1,2.1+11,,.3,7850.", "PBAR,5,1,1.-4,1.-9,1.-9,2.-9", "GRID,1,,0.,0.,0.", "GRID,2,,1.,0.,0."

@@ -28,7 +28,7 @@ _COUNT = re.compile(r"=\(?\s*([0-9]+)\s*\)?")
 
 
 def repeats(fields: Sequence[str]) -> bool:
-    """Whether fields of a line refer to those of the card before."""
+    """True if fields of a line refer to those of the card before."""
     return any(word[0] in "=*" for word in fields if word)
 
 

@@ -1,4 +1,4 @@
-"""Cards that tie freedoms to others: RBE2, RBE3, RBAR, RBAR1 and MPC.
+"""Cards that tie degrees of freedom to others: RBE2, RBE3, RBAR, RBAR1 and MPC.
 
     RBE2   the components CM of grids follow another grid as one rigid body      RBAR, RBAR1   the same of two grids
     RBE3   the components REFC of a grid are the weighted mean motion of others
@@ -194,7 +194,7 @@ def _per_meter(component: int, length: float) -> float:
 
 
 def _direction(component: int, axes: np.ndarray) -> np.ndarray:
-    """Return a component along `axes` as a combination of the six freedoms of the basic system."""
+    """Return a component along `axes` as a combination of the six degrees of freedom of the basic system."""
     e = np.zeros(6)
     e[3 * ((component - 1) // 3) :][:3] = axes[(component - 1) % 3]
     e[np.abs(e) < 1e-12] = 0.0
@@ -202,7 +202,7 @@ def _direction(component: int, axes: np.ndarray) -> np.ndarray:
 
 
 def _basic_freedoms(card: Card, grid: int, components: str, axes: Axes) -> tuple[int, ...]:
-    """Return the freedoms 0 to 5 along the basic axes of components of a grid in its system CD."""
+    """Return the degrees of freedom 0 to 5 along the basic axes of components of a grid in its system CD."""
     system, chosen = axes(grid), []
     for triad in ("123", "456"):
         numbers = [int(word) for word in triad if word in components]
@@ -241,7 +241,7 @@ def _check_links(links: list[tuple[Card, Follower]], grids: dict[int, int]) -> N
 
 
 def _sources(link: Follower) -> set[tuple[int, int]]:
-    """Return the freedoms that lead, as (node, component)."""
+    """Return the degrees of freedom that lead, as (node, component)."""
     if isinstance(link, Combination):
         return {(node, i) for node, i, _ in link.terms}
     if isinstance(link, Average):

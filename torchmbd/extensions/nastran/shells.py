@@ -2,12 +2,12 @@
 
     PCOMP(G)   -> Laminate, its angles design parameters; LAM = SYM is a symmetric one; transverse shear stiffness of
                   equal energy, which is right for sandwiches, too
-    PSHELL     -> Laminate of one ply; its angle is no design parameter. Where MID1, MID2 and MID3 differ, are MAT2, or
+    PSHELL     -> Laminate of one ply; its angle is not a design parameter. Where MID1, MID2 and MID3 differ, are MAT2, or
                   12I/T**3 is not 1, a DividedLaminate, which has no plies
 
 The middle lies at Z0 + h/2 above the plane of the grids, and ZOFFS of an element more; it stays there where thicknesses are
 design variables. Mass without stiffness (NSM) is spread over the thickness. A PSHELL without MID2 is a membrane in Nastran,
-whose plate freedoms are held: here it keeps MEMBRANE of the bending stiffness of a solid shell, with a warning.
+whose plate degrees of freedom are held: here it keeps MEMBRANE of the bending stiffness of a solid shell, with a warning.
 Checked in tests/extensions/nastran/test_shells.py, tests/extensions/nastran/test_read_bdf.py.
 """
 

@@ -2,7 +2,7 @@
 
 CORD2R, CORD2C, CORD2S (three points A, B, C: origin, z axis, x-z plane) and CORD1R, CORD1C, CORD1S (the same by grids), in
 any order of reference. Displacements in another system than the basic one (CD) count for springs (springs.py) only: supports
-hold all six freedoms, or are only named.
+hold all six degrees of freedom, or are only named.
 Checked in tests/extensions/nastran/test_data.py.
 """
 
@@ -58,7 +58,7 @@ class Systems:
         return np.stack([out, down, np.array([-y, x, 0.0]) / r]) @ axes
 
     def curved(self, number: int, card: Card) -> bool:
-        """Whether a system is cylindrical or spherical."""
+        """True if a system is cylindrical or spherical."""
         return self._system(number, card, ())[2] != "R"
 
     def position(self, grid: Card, opened: tuple[int, ...] = ()) -> tuple[float, float, float]:

@@ -153,7 +153,7 @@ def _blocks(x: Tensor) -> Tensor:
 
 
 def _spaced(x: Tensor, steps: range, grid: Grid) -> Tensor:
-    """Cotangents [outputs, ...] of the states of a segment, zero where a state is no output."""
+    """Cotangents [outputs, ...] of the states of a segment, zero where a state is not an output."""
     every, offset = grid.every, grid.offset
     if every == 1 and not offset:
         return x[steps.start : steps.stop + 1].contiguous()

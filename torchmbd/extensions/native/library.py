@@ -88,7 +88,7 @@ _warned: set[str] = set()
 def obstacle(dynamics: Dynamics, work: Sequence[str]) -> str | None:
     """The reason why there is no native code for a system, None if there is; libraries for this work are built.
 
-    The first kind of work is needed; a library of another that cannot be built is no obstacle.
+    The first kind of work is needed; a library of another that cannot be built is not an obstacle.
     """
     if (why := unavailable()) is not None:
         return why
@@ -213,7 +213,7 @@ def _built(name: str, kind: str, text: str, system: str) -> tuple[str, Path, str
 
 
 def calls_back(dynamics: Dynamics) -> bool:
-    """Whether native code calls laws of a system back."""
+    """True if native code calls laws of a system back."""
     return any(isinstance(law, Port) for action in with_traced_laws(dynamics).topology.actions for law in action.laws)
 
 

@@ -59,7 +59,7 @@ class TracedLaw:
         return self._run(s, rate, t)[0]
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Derivatives by s and s'."""
+        """Derivatives with respect to s and s'."""
         _, by_s, by_rate = self._run(s, rate, t)
         return by_s, by_rate
 
@@ -75,7 +75,7 @@ class TracedLaw:
 
 
 def _is_native(law: Any) -> bool:
-    """Whether native code takes a law as it is: of this library, traced, or one of a user that names its data."""
+    """True if native code takes a law as it is: of this library, traced, or one of a user that names its data."""
     return isinstance(law, TracedLaw) or is_library_law(law) or (bool(data_fields(law)) and not isinstance(law, Scaled))
 
 
@@ -153,7 +153,7 @@ def trace_law(law: Any) -> TracedLaw:
 
 
 def _same(law: Callable[..., tuple[Tensor, ...]], trace: TracedLaw) -> bool:
-    """Whether a law, with its slopes if it states them, and the traced one agree at random points small and large.
+    """True if a law, with its slopes if it states them, and the traced one agree at random points small and large.
 
     They differ where the law uses another library than torch, whose results are traced as constants.
     """

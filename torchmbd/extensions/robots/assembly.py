@@ -61,10 +61,10 @@ def robot(
     """Arguments of a System: bodies, joints, forces, free, gravity.
 
     positions, velocities  initial coordinates of joints by name [rad, m], [rad/s, m/s]; others are zero, or those of the file
-    drives                 joint name -> law of the change of its coordinate, a function of time as of mbd.Drive: "NAME_drive"
+    drives                 joint name -> law of the change of its coordinate, a function of time as in mbd.Drive: "NAME_drive"
     locked                 names of joints that are fixed at these positions; those that mimic them are fixed with them
     stop_stiffness         of the stops at joint limits [N m/rad, N/m]; None: no stops, a start may be beyond limits
-    stop_damping           of the stops [s/rad, s/m], as of RotationalStop
+    stop_damping           of the stops [s/rad, s/m], as in RotationalStop
     controls               actuator name -> control, a number or a torch function of time; others are zero
     friction_speed         speed below which friction decreases to zero [rad/s, m/s]
     gravity                [m/s2]

@@ -57,7 +57,7 @@ class Values:
             self.add_defaults(element, None)
 
     def is_disabled(self, *flags: str) -> bool:
-        """Whether an option disables one of these flags."""
+        """True if an option disables one of these flags."""
         return any(self.flags.get(flag) == "disable" for flag in flags)
 
     def note_omitted(self, kind: str, name: str) -> None:

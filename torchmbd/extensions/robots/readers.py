@@ -45,7 +45,7 @@ def read_mjcf(path: str | Path, flexible: Mapping[str, FlexibleBody] | None = No
 
     path       the file
     flexible   body name -> body in its place, whose mesh is in the frame of the body
-    options    as of read_urdf, and controls: actuator name -> number or function of time; gravity is that of the file
+    options    as in read_urdf, and controls: actuator name -> number or function of time; gravity is that of the file
     Raises InputError that names file, element and value.
 
     >>> text = '''<mujoco><worldbody><body name="bob"><joint name="hinge" axis="0 1 0"/>

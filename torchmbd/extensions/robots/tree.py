@@ -3,8 +3,8 @@
     urdf.py    Unified Robot Description Format
     mjcf.py    MuJoCo's format
 
-Refused by file and element: files that are too large, document types (entities), texts that are no numbers, missing or repeated
-links, loops. Checked in tests/extensions/robots/test_urdf.py, test_mjcf.py.
+Refused by file and element: files that are too large, document types (entities), texts that are not numbers, missing or
+repeated links, loops. Checked in tests/extensions/robots/test_urdf.py, test_mjcf.py.
 """
 
 from __future__ import annotations

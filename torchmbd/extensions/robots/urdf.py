@@ -2,7 +2,7 @@
 
 Not read: visual and collision geometry, limits of effort and velocity, transmissions, plugins; unknown elements are told. A
 <limit> without lower and upper does not limit, nor does one with lower above upper (Bullet's convention), which is told.
-Refused by file and element: missing or repeated elements, loops, texts that are no numbers, a document type (entities).
+Refused by file and element: missing or repeated elements, loops, texts that are not numbers, a document type (entities).
 Source: wiki.ros.org/urdf/XML. Checked in tests/extensions/robots/test_urdf.py.
 """
 

@@ -1,6 +1,6 @@
 """A shell model as a Nastran file: GRID, CTRIA3 and CQUAD4 with THETA, PCOMP, MAT8, SPC1, and modes (SOL 103).
 
-THETA is the angle from the first side of a cell to the x-axis of the laminate. Loss factors are no part of these cards.
+THETA is the angle from the first side of a cell to the x-axis of the laminate. Loss factors are not part of these cards.
 Numbers stand in large fields, so that the file read again is the same body.
 Source: MSC Nastran Quick Reference Guide.
 Checked in tests/extensions/shell_models/test_write_model.py.

@@ -76,8 +76,8 @@ def campbell(
     system           the model; drives that turn the whole turn at each of the speeds, whatever their laws
     speeds           rising [k] [rad/s]
     axis, center     of the rotation: "x", "y", "z" or a vector, and a point [m]
-    observer         "turning" with the machine, or in the "ground", as of `equilibrium`
-    designs          as of `simulate`
+    observer         "turning" with the machine, or in the "ground", as in `equilibrium`
+    designs          as in `simulate`
     modes            number of vibrations, from the slowest at the first speed; fewer if there are no more
 
     Raises InputError where a speed has no steady state.
@@ -123,14 +123,14 @@ class _Senses:
         self.whirls = [Whirl(system, states.dynamics.topology, each, shaft.direction, center) for each in modes]
 
     def __call__(self, lane: int, spectrum: Spectrum, speed: float) -> Tensor:
-        """1, -1 or 0 of each pole [k], as of `Campbell`."""
+        """1, -1 or 0 of each pole [k], as in `Campbell`."""
         m = self.whirls[lane // self.count].orders(spectrum, self.q[:, 0, lane])
         seen = spectrum.values.imag + (m * speed if self.turns else 0.0)
         return (seen * m * speed).nan_to_num(0.0).sign().long()
 
 
 class _Follower:
-    """A `Choice` of the vibrations of designs at rising speeds, lanes as of SteadyStates.
+    """A `Choice` of the vibrations of designs at rising speeds, lanes as in SteadyStates.
 
     numbers  of the poles [designs, speeds, n], -1 where a vibration is lost
     chosen   all of these numbers, ascending

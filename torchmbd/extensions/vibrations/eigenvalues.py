@@ -48,8 +48,8 @@ def eigenvalues(
     symmetric: bool = False,
     mean: bool = False,
 ) -> Tensor:
-    """Eigenvalues [k, lanes] of small vibrations about q [n_q, 1, lanes], at rest or in steady rotation; differentiable by q
-    and the data of the dynamics.
+    """Eigenvalues [k, lanes] of small vibrations about q [n_q, 1, lanes], at rest or in steady rotation; differentiable with
+    respect to q and the data of the dynamics.
 
     kind        "natural": angular frequencies [rad/s]; "poles" [1/s], complex
     modes       their numbers from 0, in the order of spectrum.py; None: all that every lane has, as designs may retain

@@ -28,7 +28,7 @@ def frozen_poles(
 
     motion        of `simulate`, without phases
     time          one of its times [s]; None: the last one
-    coordinates   names of independent increments, as of `linearize`, on which the poles depend; None: first modes and
+    coordinates   names of independent increments, as in `linearize`, on which the poles depend; None: first modes and
                   rotations that are independent, then displacements; the choice for the first lane applies to all lanes
 
     In rising order of the size of the imaginary part, then of the real one. Differentiable as the motion is, in both modes.

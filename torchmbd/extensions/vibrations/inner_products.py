@@ -79,6 +79,6 @@ def real_and_imaginary(x: Tensor) -> Tensor:
 
 
 def inner(left: Tensor, z: Tensor) -> list[Tensor]:
-    """Real and imaginary part [1, lanes] of l^H z for z [n, 2, lanes] as of `real_and_imaginary`."""
+    """Real and imaginary part [1, lanes] of l^H z for z [n, 2, lanes] as in `real_and_imaginary`."""
     real, imag = z.chunk(2, 1)
     return [(left.real * real + left.imag * imag).sum(0), (left.real * imag - left.imag * real).sum(0)]

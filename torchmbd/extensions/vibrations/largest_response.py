@@ -84,7 +84,7 @@ class _LargestResponses(Responses):
 
 @dataclass(frozen=True)
 class _Response:
-    """G of one design: M, C, K [n, n], F, and the output c by increments and c1 by rates [n], of the freedoms."""
+    """G of one design: M, C, K [n, n], F, and the output c by increments and c1 by rates [n], of the degrees of freedom."""
 
     M: Tensor
     C: Tensor
@@ -95,7 +95,7 @@ class _Response:
     order: int
 
     def squared(self, w: float) -> tuple[float, float]:
-        """|G|^2 and its derivative by w."""
+        """|G|^2 and its derivative with respect to w."""
         P, c = self._dynamic_stiffness(w), self.c + 1j * w * self.c1
         x = torch.linalg.solve(P, self.F.to(P.dtype))
         slope = -torch.linalg.solve(P, (1j * self.C - 2.0 * w * self.M) @ x)

@@ -11,9 +11,9 @@ z = E x are some of them: E selects rows. N turns with the constraints; N' and N
 along any perturbed motion. M, C and K are N' times the derivative of the residual of the equations of motion along x, x' and
 x'', with the multipliers of the state. So d/dt (z, z') = A(t) (z, z') is exact along the motion, to first order in z.
 A state that is off the constraints by errors of the steps is projected onto them first.
-Eigenvalues of A at one time are no invariants: coordinates c(t) z have other ones. What grows over a time follows from A(t) of
-all of it. About a state at rest all coordinates have the same eigenvalues.
-Differentiable by the state and the data.
+Eigenvalues of A at one time are not invariants: coordinates c(t) z have other ones. What grows over a time follows from A(t)
+of all of it. About a state at rest all coordinates have the same eigenvalues.
+Differentiable with respect to the state and the data.
 Checked in tests/extensions/vibrations/test_moving_state.py.
 """
 
@@ -46,7 +46,7 @@ _SAME_TIME = 1e-6  # share of the largest time: rounding of a number in single p
 class MovingState:
     """One design at coordinates q [n_q, 1, 1], rates v and accelerations a [n_v, 1, 1] of a motion.
 
-    It is an observer, as of multibody/equilibrium/steady_rotation.py.
+    It is an observer, as in multibody/equilibrium/steady_rotation.py.
     """
 
     v: Tensor
@@ -99,7 +99,7 @@ class MovingLinearization:
     ) -> MovingLinearization:
         """Linearize `dynamics` of one design at q [n_q, 1, 1] and v [n_v, 1, 1] at time t.
 
-        coordinates   names of rows of v, as of Topology.rate_name; None: those that `independent_rows` takes
+        coordinates   names of rows of v, as in Topology.rate_name; None: those that `independent_rows` takes
         """
         T, data = dynamics.topology, {name: value(x) for name, x in dynamics.data.items()}
         excitation, zero = T.prescribed(t, data), q.new_zeros(T.n_v, 1, 1)
@@ -225,7 +225,7 @@ def independent_rows(T: Topology, active: Tensor, basis: Tensor) -> list[int]:
 
 
 def _rows(T: Topology, active: Tensor, basis: Tensor, coordinates: Sequence[str]) -> list[int]:
-    """Rows of v by their names, which are as many as the freedoms and independent."""
+    """Rows of v by their names, which are as many as the degrees of freedom and independent."""
     names = {T.rate_name(row): (row, i) for i, row in enumerate(active.tolist())}
     chosen = list_of("coordinates", coordinates, str, "names of increments, such as \"rotation z of 'bob'\"")
     places = [names[one_of("coordinates", name, names)] for name in chosen]

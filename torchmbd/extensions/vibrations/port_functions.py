@@ -2,7 +2,7 @@
 
     F   generalized forces of a unit input        y = c x + c1 x'   an output by increments of the coordinates and their rates
 
-Written in the functions of the equations, so that their derivatives by the state and the data are exact.
+Written in the functions of the equations, so that their derivatives with respect to the state and the data are exact.
 In a steady rotation F, c and c1 must be the same at every turn, as their observer sees them: a direction of the ground across
 the axis turns for an observer who turns with the machine, and one of a body for an observer in the ground. Inputs and outputs
 in such directions are refused, because a harmonic input has no harmonic output then.

@@ -172,7 +172,7 @@ def _eigenvectors(A: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _full(rest: Linearization, Y: Tensor) -> Tensor:
-    """Increments of the coordinates [n_v, k] out of those of the freedoms [freedoms, k]."""
+    """Increments of the coordinates [n_v, k] out of those of the degrees of freedom [freedoms, k]."""
     full = Y.new_zeros(len(rest.forces), Y.shape[1])
     full[rest.active] = rest.N.to(Y.dtype) @ Y
     return full

@@ -37,7 +37,7 @@ class Shaft:
 
     axis      "x", "y" or "z" of the ground, or a vector [3], whose length does not matter
     center    a point of it [m]
-    observer  "turning" with the machine, or in the "ground", as of mbd.equilibrium
+    observer  "turning" with the machine, or in the "ground", as in mbd.equilibrium
 
     >>> from torchmbd.extensions.vibrations.steady_states import Shaft
     >>> Shaft("x", observer="ground").direction.tolist()
@@ -96,7 +96,7 @@ class SteadyStates:
         symmetric: bool = False,
         mean: bool = False,
     ) -> Tensor:
-        """Eigenvalues [designs, speeds, k], as of eigenvalues.py."""
+        """Eigenvalues [designs, speeds, k], as in eigenvalues.py."""
         values = eigenvalues(self.dynamics, self.q, self.t, self.rotation, kind, modes, symmetric, mean)
         return values.T.unflatten(0, (-1, self.speeds))
 

@@ -59,7 +59,7 @@ class Web:
         return sum(t for _, t in self.layers)
 
     def has_height(self, length: float) -> bool:
-        """Whether its ends are farther apart along a contour of some length [m] than the web is thick."""
+        """True if its ends are farther apart along a contour of some length [m] than the web is thick."""
         apart = abs(self.end - self.start)
         return min(apart, 1.0 - apart) > max(NARROWEST, self.thickness / length)
 
@@ -284,7 +284,7 @@ def _untangled(s: Array, p: Array, depth: Array, normal: Array) -> Array:
 
 
 def _crossed(ends: Array) -> Array:
-    """Whether a column has a corner that is not convex, or turned as the others are not, in any of its layers."""
+    """True if a column has a corner that is not convex, or turned as the others are not, in any of its layers."""
     a, b = ends[:-1, :-1], ends[1:, :-1]
     d, c = ends[:-1, 1:], ends[1:, 1:]
     corners = [a, b, c, d]

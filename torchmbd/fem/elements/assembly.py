@@ -1,10 +1,10 @@
-"""Stiffness and mass of a flexible body: parts on common nodes, and the free freedoms of these nodes.
+"""Stiffness and mass of a flexible body: parts on common nodes, and the free degrees of freedom of these nodes.
 
-    K(b) = sum_parts values_p(b)        on the free freedoms, one sparsity pattern
+    K(b) = sum_parts values_p(b)        on the free degrees of freedom, one sparsity pattern
     M(b) = sum of mass points: at nodes (lumped; diagonal where they need no arms) or halfway between two nodes
 
-A part has a pattern over all freedoms 6 * node + i of the mesh, computed once, and values for the present design. A new
-kind of element is one class with the methods of `Part`.
+A part has a pattern over all degrees of freedom 6 * node + i of the mesh, computed once, and values for the present design. A
+new kind of element is one class with the methods of `Part`.
 
 Mass points: mass m and isotropic rotary inertia mu at a node, eq. (2), or at the middle of two nodes, which moves with
 their mean; or at the end of a rigid arm on them. With three such points at the middles of its sides a triangle has its
@@ -43,11 +43,11 @@ class Meshed(Protocol):
 class Assembly:
     """Parts on the nodes of one mesh; some nodes may be held or linked.
 
-    mesh    its nodes have the freedoms
+    mesh    its nodes have the degrees of freedom
     parts   name -> part
     held    nodes that are fixed
     links   nodes that follow others
-    means   mean motions that are freedoms of their own
+    means   mean motions that are degrees of freedom of their own
     """
 
     def __init__(
@@ -76,11 +76,11 @@ class Assembly:
             self._prepare_mass()
 
     def _reduced_entries(self) -> list[ReducedEntries]:
-        """Entries of K of each part at the free freedoms."""
+        """Entries of K of each part at the free degrees of freedom."""
         return [self.freedoms.reduced(part.pattern) for part in self.parts.values()]
 
     def _absent(self, points: Sequence[MassPoints], entries: Sequence[ReducedEntries]) -> Int[Tensor, " k"]:
-        """Return the free freedoms without stiffness, such as rotations of nodes of solids; warn of those with mass."""
+        """Return free degrees of freedom without stiffness, such as rotations of solids; warn of those with mass."""
         used = torch.zeros(len(self.freedoms.free), dtype=torch.bool)
         for part in entries:
             used |= part.pattern.start.diff() > 0
@@ -105,7 +105,7 @@ class Assembly:
         return self.freedoms.free[~used]
 
     def _prepare_stiffness(self, entries: list[ReducedEntries]) -> None:
-        """Find the entries of each part in the common pattern of the free freedoms."""
+        """Find the entries of each part in the common pattern of the free degrees of freedom."""
         if len(entries) == 1:
             self.pattern, self._entries_of_parts = entries[0].pattern, entries
             return
@@ -127,11 +127,11 @@ class Assembly:
         self._mass_entry, self._mass_size = entry, pattern.nnz
 
     def stiffness(self) -> SparseMatrix:
-        """K of the free freedoms."""
+        """K of the free degrees of freedom."""
         return self._joined([part.values(entries.source) for part, entries in self._sources])
 
     def loss_stiffness(self) -> SparseMatrix | None:
-        """Derivative of K of the free freedoms where the moduli of each ply grow by its loss factor; None without them."""
+        """Derivative of K where the moduli of each ply grow by its loss factor; None without loss factors."""
         if not any(isinstance(part, LosingPart) and part.loses for part in self.parts.values()):
             return None
         values = []
@@ -147,7 +147,7 @@ class Assembly:
         return [cells for part in self.parts.values() for cells in part.stressed(motion)]
 
     def geometric(self, motion: Float[Tensor, "*lanes n 6 k"]) -> SparseMatrix:
-        """Geometric stiffness of the free freedoms under the stress of k motions of all nodes, lanes [*lanes, k]."""
+        """Geometric stiffness of the free degrees of freedom, stressed by k motions of all nodes, lanes [*lanes, k]."""
         k = motion.shape[-1]
         values = []
         for part, entries in self._sources:
@@ -163,7 +163,7 @@ class Assembly:
         return list(zip(self.parts.values(), self._entries_of_parts, strict=True))
 
     def _joined(self, values: list[Tensor]) -> SparseMatrix:
-        """Return the matrix of the free freedoms from the values of all parts."""
+        """Return the matrix of the free degrees of freedom from the values of all parts."""
         first, *others = (part.values(v) for part, v in zip(self._entries_of_parts, values, strict=True))
         return SparseMatrix(self.pattern, sum(others, first), symmetric=True)
 
@@ -181,7 +181,7 @@ class Assembly:
         return MassPoints(self._ends, mass, rotary, torch.cat(arms, dim=-2))
 
     def mass(self, points: MassPoints | None = None) -> Float[Tensor, "*lanes N"] | SparseMatrix:
-        """M of the free freedoms: its diagonal where all masses are lumped at free nodes, else a sparse matrix.
+        """M of the free degrees of freedom: its diagonal where all masses are lumped at free nodes, else a sparse matrix.
 
         points: the result of `masses`, if it is known
         """

@@ -15,8 +15,8 @@ stations for a prismatic element, more for one that is twisted by itself or an a
 the straight beam: depth over radius is small). Rigid motions are exact.
 Mass: half of each element's at its ends, as four particles in the plane of the section that have its mass, center and
 inertia; so products of inertia and eccentric centers need no special case in the motion.
-Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward and
-reverse, in the sections' stiffness, with lanes.
+Index of a degree of freedom: 6 * node + component (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward
+and reverse, in the sections' stiffness, with lanes.
 
 Geometric stiffness: all six section forces on rotations, slopes and curvatures.
 
@@ -168,7 +168,7 @@ class BeamMatrices:
         return (balanced_inverse(self.flexibility(balanced_inverse(stiffness))) @ end)[..., 0]
 
     def on_nodes(self, end: Float[Tensor, "*lanes m 6"]) -> Float[Tensor, "*lanes n 6"]:
-        """Forces and moments on all nodes of those at the ends of the elements, as of `held_forces`."""
+        """Forces and moments on all nodes of those at the ends of the elements, as in `held_forces`."""
         corners = (self._ends.mT @ end[..., None])[..., 0].unflatten(-1, (2, 6))
         none = corners.new_zeros(*corners.shape[:-3], len(self.mesh.nodes), 6)
         return none.index_add(-2, self.elements.flatten(), corners.flatten(-3, -2))
@@ -181,7 +181,7 @@ class BeamMatrices:
     ) -> list[StressedCells]:
         """Return the stressed cells (geometric.py) under the section forces of k motions, less those of free strains.
 
-        stiffness   as of `values`
+        stiffness   as in `values`
         held        as `held_forces` returns them
         """
         compliance = balanced_inverse(stiffness)
@@ -257,7 +257,7 @@ def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 
     """Four equal particles in the section's plane with its mass, center and second moments: kg/m, places (y, z) [m].
 
     center +- columns of L, L L' = twice the second moments about the center: a factor has derivatives where these are equal,
-    as of a tube, and principal axes have none
+    as for a tube, and principal axes have none
     """
     mu = mass[..., 0, 0]
     center = torch.stack([-mass[..., 0, 5], mass[..., 0, 4]], dim=-1) / mu[..., None]

@@ -77,7 +77,7 @@ def evaluate_nodes(shape: nn.Module) -> Tensor:
 
 
 def varying_nodes(mesh: Any) -> bool:
-    """Whether the nodes of a mesh depend on the design."""
+    """True if the nodes of a mesh depend on the design."""
     return getattr(mesh, "node_module", None) is not None
 
 

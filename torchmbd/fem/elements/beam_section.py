@@ -86,7 +86,7 @@ class GivenSection(nn.Module):
 
     @property
     def mass_varies(self) -> bool:
-        """Whether the mass depends on the design."""
+        """True if the mass depends on the design."""
         return "inertia" in self._parameters or bool(self._entries[1].places)
 
     @classmethod
@@ -171,7 +171,7 @@ class _VaryingEntries:
 
 @dataclass(frozen=True)
 class Isotropic:
-    """Numbers of a section of metal, as of `GivenSection.isotropic`."""
+    """Numbers of a section of metal, as in `GivenSection.isotropic`."""
 
     positive: ClassVar[tuple[str, ...]] = ("E", "density", "area", "Iyy", "Izz", "J", "shear_y", "shear_z")
     E: Any

@@ -1,10 +1,11 @@
-"""Free freedoms of a body, and the map from them to all freedoms: held nodes, links, mean motions.
+"""Free degrees of freedom of a body, and the map from them to all degrees of freedom: held nodes, links, mean motions.
 
-    u = T u_free        u: all freedoms of all nodes [6 n],  T: sparse, constant
+    u = T u_free        u: all degrees of freedom of all nodes [6 n],  T: sparse, constant
 
-held node     u = 0; so have single freedoms without stiffness and mass
-link          freedoms that follow those of other nodes: rigid links, averages, combinations (links.py)
-mean motion   y = B u of several nodes, six free freedoms of their own; six of the nodes' follow: u_d = B_d^-1 (y - B_r u_r)
+held node     u = 0; so have single degrees of freedom without stiffness and mass
+link          degrees of freedom that follow those of other nodes: rigid links, averages, combinations (links.py)
+mean motion   y = B u of several nodes, six free degrees of freedom of their own; six of the nodes' follow: u_d = B_d^-1 (y -
+B_r u_r)
 
 So the values of K_free = T' K T are linear in those of K; `reduced` finds their map once per mesh.
 Checked in tests/fem/elements/test_freedoms.py.
@@ -28,7 +29,7 @@ from torchmbd.math.sparse import Pattern
 
 @dataclass(frozen=True, eq=False)
 class MeanMotion:
-    """Six freedoms, the mean motion y = matrix u of the freedoms u of some nodes [6, 6 nodes]."""
+    """Six degrees of freedom, the mean motion y = matrix u of the degrees of freedom u of some nodes [6, 6 nodes]."""
 
     nodes: tuple[int, ...]
     matrix: Float[Tensor, "6 k"]
@@ -59,12 +60,13 @@ class ReducedEntries(NamedTuple):
 
 
 class Freedoms:
-    """The free freedoms of the nodes x [n, 3] and the map T; see the module header.
+    """The free degrees of freedom of the nodes x [n, 3] and the map T; see the module header.
 
-    free                freedom number 6 * node + i of each free freedom [N], ascending; mean motions are nodes after the others
+    free                number 6 * node + i of each free degree of freedom [N], ascending; mean motions are nodes after the
+                        others
     rows, cols, factor  the entries of T, sorted by rows
     plain               whether T only selects: no links
-    absent              freedoms that are left out
+    absent              degrees of freedom that are left out
     """
 
     def __init__(
@@ -139,7 +141,7 @@ class Freedoms:
         return full.unflatten(-2, (self.nodes, 6))
 
     def gathered(self, forces: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes N k"]:
-        """Return T' times columns: forces and moments on all nodes, as forces of the free freedoms."""
+        """Return T' times columns: forces and moments on all nodes, as forces of the free degrees of freedom."""
         flat = forces.flatten(-3, -2)
         if self.plain:
             return flat[..., self.free, :]
@@ -148,12 +150,12 @@ class Freedoms:
 
 
 def _freedoms(nodes: Sequence[int]) -> Tensor:
-    """All freedoms of nodes, in their order."""
+    """All degrees of freedom of nodes, in their order."""
     return (6 * torch.tensor(nodes)[:, None] + torch.arange(6)).flatten()
 
 
 def _following(x: Tensor, mean: MeanMotion, bound: Tensor) -> tuple[Tensor, Tensor]:
-    """The six freedoms that follow the mean motion, the best conditioned, and the inverse of their columns."""
+    """The six degrees of freedom that follow the mean motion, the best conditioned, and the inverse of their columns."""
     freedoms, B = _freedoms(mean.nodes), mean.matrix
     places = x[list(mean.nodes)]
     size = float((places - places.mean(0)).norm(dim=1).max())

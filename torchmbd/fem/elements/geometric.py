@@ -3,7 +3,7 @@
     u' Kg u = sum_points d' L(stress) d,     d = R u        R: rows of a cell, no design but the nodes of beams
 
 Every part returns its stressed cells (part.py): of shells slopes and membrane forces (shell_geometric.py), of beams rotations,
-slopes and curvatures with all six section forces (beam.py). From these come Kg on the freedoms of all nodes, and
+slopes and curvatures with all six section forces (beam.py). From these come Kg on the degrees of freedom of all nodes, and
 its projection onto some motions, such as modes, which needs no matrix of the size of the mesh.
 Positive where it stiffens. Differentiable, forward and reverse, in the stress and in the motions, with lanes.
 Checked in tests/fem/elements/test_geometric.py.
@@ -27,7 +27,7 @@ AT_ONCE = 4_000_000  # numbers of cells' matrices in memory
 class StressedCells(NamedTuple):
     """Cells of one kind under k states of stress.
 
-    nodes   corners of each cell, whose freedoms u1 ... phi3 are the columns of the rows
+    nodes   corners of each cell, whose degrees of freedom u1 ... phi3 are the columns of the rows
     rows    R at the points of each cell; the law is the same for all s components
     law     L, with the length or area that each point stands for, as factors of the products d_i . d_j, i <= j
             (quadratic_forms.py)
@@ -54,12 +54,12 @@ def projected_geometric_stiffness(
 
 
 def corner_motions(nodes: Int[Tensor, "m c"], motions: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m f k"]:
-    """Motions of all nodes as those of the freedoms of cells."""
+    """Motions of all nodes as those of the degrees of freedom of cells."""
     return motions.index_select(-3, nodes.flatten()).unflatten(-3, nodes.shape).flatten(-3, -2)
 
 
 def assembled_geometric_stiffness(pattern: Pattern, cells: Sequence[StressedCells]) -> Float[Tensor, "*lanes k nnz"]:
-    """Kg of each state of stress on a pattern of all freedoms 6 * node + i that has the blocks of all cells."""
+    """Kg of each state of stress on a pattern of all degrees of freedom 6 * node + i that has the blocks of all cells."""
     key = pattern.rows * pattern.size + pattern.cols
     total: Tensor | None = None
     for part in cells:

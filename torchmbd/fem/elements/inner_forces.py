@@ -13,8 +13,8 @@ X         work of the states on sides that stretch linearly, in bending of unit 
               c = U_bb^-1 w_b,     r = w - X c,     r_n' = r_n - U_nb U_bb^-1 r_b
               energy / area = 1/2 w_b' U_bb^-1 w_b + 1/2 r_n' (U_nn - U_nb U_bb^-1 U_bn)^-1 r_n'
 
-So the mid-surface of a cell deforms under bending and forces as the stack does, without freedoms beside those of corners.
-Since the variation of kappa meets D - B S B instead of D, a cell's stiffness is its linear part (plate.py) and
+So the mid-surface of a cell deforms under bending and forces as the stack does, without degrees of freedom beside those of
+corners. Since the variation of kappa meets D - B S B instead of D, a cell's stiffness is its linear part (plate.py) and
 
     K = J' C(A, B) J,     J: W and kappa - kappa_mean   [13, freedoms]
 
@@ -35,7 +35,7 @@ from torch import Tensor
 
 
 class InnerForces(NamedTuple):
-    """Data of the inner forces of each cell that do not depend on the laminate; freedoms as in strains.py.
+    """Data of the inner forces of each cell that do not depend on the laminate; degrees of freedom as in strains.py.
 
     area        of the cell [m2]
     states      sigma: amounts of the three functions, components, bending first [m, 3, 3, 4]

@@ -1,12 +1,12 @@
-"""Links that make freedoms of a node follow others: rigid links, averages, combinations; rows of the map T of freedoms.py.
+"""Links, by which a node depends on others: rigid links, averages, combinations; rows of the map T of freedoms.py.
 
 rigid link    u_s = u_m + phi_m x d,  phi_s = phi_m       node s follows node m, d from m to s        (RBE2)
               or only some of the six components: a ball joint has the first three
 average       the rigid motion that fits weighted nodes best, in the sense of least squares           (RBE3)
-combination   u_i of one node is the weighted sum of single freedoms of others                        (MPC)
+combination   u_i of one node is the weighted sum of single degrees of freedom of others                        (MPC)
 
-Freedoms that lead may follow others themselves: with D the rows of all links and F the projection on freedoms that follow, the
-rows of the free ones are D (1 - F) + D F D (1 - F) + ...; links that run in a circle are refused.
+Degrees of freedom that lead may follow others themselves: with D the rows of all links and F the projection on degrees of
+freedom that follow, the rows of the free ones are D (1 - F) + D F D (1 - F) + ...; links that run in a circle are refused.
 Checked in tests/fem/elements/test_freedoms.py.
 """
 
@@ -85,7 +85,7 @@ Follower: TypeAlias = RigidLink | Average | Combination
 
 
 def link_entries(x: Float[Tensor, "n 3"], links: Sequence[Follower]) -> Entries:
-    """Return the entries of all links by freedoms that follow none. InputError names a node of a circle."""
+    """Return the entries of all links by degrees of freedom that follow none. InputError names a node of a circle."""
     none = torch.zeros(0, dtype=torch.long)
     entries = [(none, none, x.new_zeros(0)), *(link.entries(x) for link in links)]
     led, source, factor = (torch.cat(part) for part in zip(*entries, strict=True))

@@ -1,9 +1,9 @@
 """The interface of the parts of an assembly (assembly.py), and the parts that are numbers: constant elements, point masses.
 
-    K = sum over elements of their matrices at their freedoms 6 * node + i
+    K = sum over elements of their matrices at their degrees of freedom 6 * node + i
 
-Freedoms that no part of a body gives stiffness or mass to, such as rotations of nodes of solids, are left out by the assembly.
-Checked in tests/fem/elements/test_assembly.py, tests/extensions/nastran/test_elements.py.
+Degrees of freedom that no part of a body gives stiffness or mass to, such as rotations of nodes of solids, are left out by
+the assembly. Checked in tests/fem/elements/test_assembly.py, tests/extensions/nastran/test_elements.py.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class LosingPart(Part, Protocol):
 
     @property
     def loses(self) -> bool:
-        """Whether one of them has."""
+        """True if one of them has."""
         ...
 
     def loss_values(self, entries: Int[Tensor, " k"] | None) -> Float[Tensor, "*lanes nnz"]:
@@ -101,7 +101,7 @@ class ExpandingPart(Part, Protocol):
 class GivenElements:
     """Elements of constant stiffness and lumped masses.
 
-    mesh      its nodes have the freedoms
+    mesh      its nodes have the degrees of freedom
     freedoms  of each element, 6 * node + i; those of different numbers of freedoms as several groups
     matrices  their stiffness [N/m, N, N m], symmetric, for each group
     nodes     nodes with mass, and their masses [kg]

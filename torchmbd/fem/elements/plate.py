@@ -10,8 +10,8 @@ or are differentiated, the strains are made anew in each design (`moved_mean`), 
 Ply strains and stresses are maps of the laminate (fem/materials/ply_maps.py) times the section strains at the middle of each
 cell, where the element's are best. Both are linear in the displacements, which may be modes: `stress = basis.stress @ w` is
 then one product for all times of modal coordinates w.
-Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward and
-reverse, in the laminate's parameters and in the displacements, with lanes.
+Index of a degree of freedom: 6 * node + component (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward
+and reverse, in the laminate's parameters and in the displacements, with lanes.
 Source: eqs. (10)-(13) of the paper; the elements name their own.
 Checked in tests/fem/elements/test_plate_*.py, tests/fem/elements/test_thickness.py, tests/fem/elements/test_ply_recovery.py,
 tests/convergence/test_plate*.py, tests/validation/test_*plate*.py, tests/validation/test_ply_stresses.py.
@@ -296,7 +296,7 @@ class PlateMatrices:
 
 
 def _membrane_and_bending(strains: Strains) -> Float[Tensor, "m 6 f"]:
-    """Integrals of the membrane strains and curvatures of every cell, as rows on its freedoms."""
+    """Integrals of the membrane strains and curvatures of every cell, as rows on its degrees of freedom."""
     # Points after the fourth have strains of drilling freedoms.
     points = strains.weight.shape[1] if strains.forces is None else 4
     return (strains.at[:, :points, :6] * strains.weight[:, :points, None, None]).sum(1)

@@ -129,7 +129,7 @@ class Plates:
 
     @property
     def loses(self) -> bool:
-        """Whether a ply has a loss factor."""
+        """True if a ply has a loss factor."""
         return any(laminate.loses for laminate in self.laminates)
 
     def loss_values(self, entries: Int[Tensor, " k"] | None) -> Float[Tensor, "*lanes nnz"]:

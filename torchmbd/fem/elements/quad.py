@@ -1,7 +1,7 @@
-"""The laminated quadrilateral: membrane with drilling freedoms, DKMQ bending and transverse shear, warped cells.
+"""The laminated quadrilateral: membrane with drilling degrees of freedom, DKMQ bending and transverse shear, warped cells.
 
-Strains at the 2 x 2 points of Gauss, and at two more that carry membrane strains of the drilling freedoms alone; membrane
-forces that vary over the cell (inner_forces.py).
+Strains at the 2 x 2 points of Gauss, and at two more that carry membrane strains of the drilling degrees of freedom alone;
+membrane forces that vary over the cell (inner_forces.py).
 
 A warped cell stands on its mean plane, its corners at heights z = +d, -d, +d, -d. Shallow shell theory in the cell,
 
@@ -15,8 +15,8 @@ bows    a side that is bent deflects by L / 12 (beta_j - beta_i) . t from its ch
 
 So a strip of cells that wind like a screw bends and twists as thin as it is, without stretching.
 
-On curved shells the drilling freedoms are softened as in triangle.py, with r = area (tilt^2 + warp^2) / h^2: the surface of
-a warped cell is tilted to its own mean plane, by `warp` in the mean square.
+On curved shells the drilling degrees of freedom are softened as in triangle.py, with r = area (tilt^2 + warp^2) / h^2: the
+surface of a warped cell is tilted to its own mean plane, by `warp` in the mean square.
 Source: see quad_membrane.py, quad_bending.py; shallow shells: K. Marguerre (1938); forces instead of moments at the corners
 of warped cells: R. H. MacNeal, Finite Elements: Their Design and Performance (1994), chapter 9.
 Checked in tests/fem/elements/test_quad.py, tests/contracts/test_shell_elements.py, tests/validation/test_curved_shells.py.
@@ -65,7 +65,7 @@ def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
 
 
 def _of_corners(plane: Facets, rows: Float[Tensor, "m *rows 12"]) -> Float[Tensor, "m *rows 4 6"]:
-    """Rows on (u, v, theta) of the corners of the mean plane, on all freedoms of the corners in the cell's axes."""
+    """Rows on (u, v, theta) of the corners of the mean plane, on all degrees of freedom of the corners in the cell's axes."""
     flat = rows.unflatten(-1, (4, 3))
     w0 = middle(plane.corners).slopes[:, 0]  # gradient of the linear part [m, 2, 4]
     w = torch.einsum("m...ic,mi,mcj->m...j", flat[..., :2], plane.height, w0)

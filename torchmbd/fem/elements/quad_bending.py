@@ -1,6 +1,6 @@
 """Curvatures and transverse shear strains of the discrete Kirchhoff-Mindlin quadrilateral (DKMQ).
 
-Freedoms of a corner: w, beta_x, beta_y as in triangle.py. The rotation gets a quadratic part along each side k,
+Degrees of freedom of a corner: w, beta_x, beta_y as in triangle.py. The rotation gets a quadratic part along each side k,
 
     beta = sum_i N_i beta_i + sum_k P_k Delta_k t_k,      P = (1 - xi^2)(1 -+ eta) / 2,  (1 - eta^2)(1 +- xi) / 2
 

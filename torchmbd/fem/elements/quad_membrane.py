@@ -1,6 +1,6 @@
-"""A quadrilateral membrane with corner drilling freedoms that keeps its accuracy in slender, slanted cells, of any laminate.
+"""A quadrilateral membrane with drilling rotations at its corners, accurate in slender, slanted cells, for any laminate.
 
-Freedoms of a corner: u, v, theta (a real in-plane rotation, no penalty).
+Degrees of freedom of a corner: u, v, theta (a real in-plane rotation, no penalty).
 
 mean     strain from the work of constant stresses on the sides (sides.py): any patch test passes
 forces   that run linearly over the cell, in four states of equilibrium, from their work on the same sides (below, and
@@ -12,7 +12,7 @@ drill    rotations that no stress does work on: theta = 1 and theta = (1, -1, 1,
          less of them, thick plates of such cells would have spurious frequencies below their own
 
 Rectangles of any laminate bend exactly; one row of isotropic parallelograms or trapezoids of 45 degrees, 5 : 1, within 0.1 %.
-A membrane without drilling freedoms that passes the patch test cannot bend in trapezoids at all (MacNeal, 1987).
+A membrane without drilling degrees of freedom that passes the patch test cannot bend in trapezoids at all (MacNeal, 1987).
 
 softness    r >= 0 of curved shells (triangle.py): the bending of the sides in the mean by 1 / (1 + r / 10), and in forces and
             drill the rotations are drawn from theta to theta*(u), where they cost nothing, by 1 - 1 / sqrt(1 + 70 r). Less in
@@ -182,7 +182,7 @@ def _drill_strains(corners: Float[Tensor, "m 4 2"], at_boundary: Bool[Tensor, "m
 
 
 def _softened(forces: InnerForces, drill: Tensor, S: Tensor, softness: Tensor) -> Float[Tensor, "m 12 12"]:
-    """Return the map of the freedoms that moves rotations towards those of least energy in forces and drill."""
+    """Return the map of the degrees of freedom that moves rotations towards those of least energy in forces and drill."""
     A = torch.linalg.inv(S)
     of_forces = forces.work.mT @ CellForces(forces).law(A, torch.zeros_like(A))[:, :4, :4] @ forces.work
     K = of_forces + torch.einsum("mdsf,mst,mdtg->mfg", drill, A, drill)

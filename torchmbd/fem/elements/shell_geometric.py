@@ -38,7 +38,7 @@ def stressed_shells(
     mean: Float[Tensor, "*lanes 3"] | None,
     held: Float[Tensor, "*lanes 3"] | None = None,
 ) -> list[StressedCells]:
-    """Return the cells of each kind under the membrane forces of k motions; entries and mean as of `PlateMatrices.values`.
+    """Return the cells of each kind under the membrane forces of k motions; entries and mean as in `PlateMatrices.values`.
 
     held   forces N of free strains, which are subtracted; of several laminates [*lanes, laminates, 3]
     """
@@ -74,7 +74,7 @@ def stressed_shells(
 def _force_rows(
     strains: Strains, inner: CellForces | None, A: Float[Tensor, "*lanes v 3 3"], B: Float[Tensor, "*lanes v 3 3"]
 ) -> Float[Tensor, "*lanes v p 3 f"]:
-    """Return N_11, 2 N_12, N_22 at the points, times the area of a point, as rows of the freedoms of the corners."""
+    """Return N_11, 2 N_12, N_22 at the points, times the area of a point, as rows on the motion of the corners."""
     weight = strains.weight
     if inner is None:
         rows = A[..., None, :, :] @ strains.at[..., :3, :] + B[..., None, :, :] @ strains.at[..., 3:6, :]

@@ -65,7 +65,7 @@ def gaps(
 def split_gaps(
     gap: Tensor, shear_length: float | Float[Tensor, " m"], size2: Float[Tensor, "m c"]
 ) -> tuple[Tensor, Tensor]:
-    """Split gaps into bending and shear: Delta_k and gamma_k of every side, as rows on the freedoms of the gap."""
+    """Split gaps into bending and shear: Delta_k and gamma_k of every side, as rows on the degrees of freedom of the gap."""
     phi = torch.as_tensor(shear_length, dtype=size2.dtype)[..., None] ** 2 / size2
     return (-1.5 / (1.0 + phi))[..., None] * gap, (phi / (1.0 + phi))[..., None] * gap
 

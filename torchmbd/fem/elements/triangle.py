@@ -1,4 +1,4 @@
-"""The laminated triangle: OPT membrane with drilling freedoms, DKMT bending and transverse shear.
+"""The laminated triangle: OPT membrane with drilling degrees of freedom, DKMT bending and transverse shear.
 
 Strains at the middles of the sides 12, 23, 31, each with a third of the area (strains.py tells their order).
 
@@ -7,10 +7,10 @@ That is as stiff as a membrane, so thin curved shells would lock: by membrane ov
 
     r = (tilt sqrt(2 area) / h)^2        h = bending_length of the laminate, its thickness if it is homogeneous
 
-The drilling freedoms are softened by r where r is not small. A flat plate has r = 0; on a curved shell r falls with the
-fourth power of the mesh size, so the limit is the same.
+The drilling degrees of freedom are softened by r where r is not small. A flat plate has r = 0; on a curved shell r falls with
+the fourth power of the mesh size, so the limit is the same.
 
-Membrane: OPT, freedoms u, v, theta_z of a corner (a real in-plane rotation, no penalty). The strain is
+Membrane: OPT, degrees of freedom u, v, theta_z of a corner (a real in-plane rotation, no penalty). The strain is
 
     eps(zeta) = (1 / area) L' u  +  3/2 sqrt(beta0) T_e Q(zeta) (theta - theta_0)
 
@@ -27,8 +27,8 @@ At the middles of the sides the three-point rule integrates the energy exactly. 
 is linear in the membrane stiffness A, and the same strains couple with bending.
 Assumed: homogeneous facet, small strains. Rank 6, exact rigid-body motion.
 
-Bending and shear: DKMT, freedoms w, beta_x, beta_y of a corner (u = z beta_x, v = z beta_y; from rotations: beta_x = phi_y,
-beta_y = -phi_x). The rotation gets a quadratic part along each side k = ij (tangent t_k, length L_k),
+Bending and shear: DKMT, degrees of freedom w, beta_x, beta_y of a corner (u = z beta_x, v = z beta_y; from rotations: beta_x
+= phi_y, beta_y = -phi_x). The rotation gets a quadratic part along each side k = ij (tangent t_k, length L_k),
 
     beta = sum_i lambda_i beta_i + sum_k 4 lambda_i lambda_j Delta_k t_k
 

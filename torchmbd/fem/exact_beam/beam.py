@@ -165,8 +165,8 @@ class ExactBeam(nn.Module):
         line_load           force [N/m], or force and moment, per length without load, in mesh axes: 3 or 6 numbers, or
                             as many for each element; it keeps its direction
         follower_line_load  the same in the axes of the elements' sections; it turns with them
-        supports            nodes -> freedoms that are held, as "u1 u2 u3", or "all"; or six numbers, displacements and a
-                            rotation vector [m, rad], None where it is free. None: all of "start"
+        supports            nodes -> degrees of freedom that are held, as "u1 u2 u3", or "all"; or six numbers, displacements
+                            and a rotation vector [m, rad], None where it is free. None: all of "start"
         gravity             [m/s2]
         spin, center        angular velocity [rad/s] of the supports about an axis through a point [m]: steady rotation
         unstable            True: equilibria are followed past points where they lose their stability
@@ -205,7 +205,7 @@ class ExactBeam(nn.Module):
         """The lowest frequencies [Hz] of small vibrations about an equilibrium, at rest or steadily rotating; and that state.
 
         number     of frequencies
-        loads, line_load, supports, gravity, spin, center   as of `equilibrium`: loads that have a potential, so no moments
+        loads, line_load, supports, gravity, spin, center   as in `equilibrium`: loads that have a potential, so no moments
 
         The mass of the sections is at the nodes. With a spin there are Coriolis's forces, too; vibrations are those that a
         turning observer sees. nan where there is no stable equilibrium: its status says why. Differentiable like the

@@ -53,7 +53,7 @@ class Path:
     code       index into STATUS
     factor     of the loads at the last equilibrium
     x, R       positions [n, 3] and rotations [n, 3, 3] of the nodes at that equilibrium
-    K          stiffness of its free freedoms
+    K          stiffness of its free degrees of freedom
     factors    of the loads at all equilibria, first 0
     places     positions of the nodes at these [n, 3]
     """
@@ -69,7 +69,7 @@ class Path:
 
 @dataclass
 class _Equilibrium:
-    """An equilibrium: factor of the loads, positions, rotations, forces of the elements, stiffness of all freedoms."""
+    """An equilibrium: load factor, positions, rotations, element forces, stiffness of all degrees of freedom."""
 
     factor: float
     x: Tensor
@@ -96,7 +96,7 @@ class Continuation:
         self._pattern, self._slot = Pattern.gather(torch.cat(rows), torch.cat(cols), 6 * nodes)
 
     def stiffness(self, data: BeamData, x: Tensor, R: Tensor, f: Tensor, factor: float) -> tuple[Any, Tensor]:
-        """Return K of all freedoms of one design under element forces f, and df by motions of the nodes [m, 6, 12]."""
+        """Return K of all degrees of freedom of a design with element forces f, and df by motions of the nodes [m, 6, 12]."""
         elements, B = element_tangents(data, self.topology, x, R, f)
         blocks = torch.cat([elements.flatten(), load_tangents(data, x, R, factor).flatten()])
         values = blocks.new_zeros(self._pattern.nnz).index_add(0, self._slot, blocks)
@@ -137,7 +137,7 @@ class Continuation:
     def _step(
         self, data: BeamData, old: _Equilibrium, step: float, rate: np.ndarray
     ) -> tuple[_Equilibrium | None, int, np.ndarray]:
-        """Return the next equilibrium and code 0, or None and the code of a failure; and the increment of all freedoms."""
+        """Return the next equilibrium and code 0, or None and the code of a failure; and the increment."""
         at = 1.0 if old.factor + step > 1.0 - SMALLEST_STEP else old.factor + step
         x, R, f, K, predicted = old.x, old.R, old.f, old.K, 0.0
         B = element_tangents(data, self.topology, x, R, f)[1]
@@ -167,12 +167,12 @@ class Continuation:
         return None, 3, total
 
     def _rate(self, data: BeamData, state: _Equilibrium) -> np.ndarray:
-        """Increment of all freedoms for an increase of the factor by 1."""
+        """Increment of all degrees of freedom for an increase of the factor by 1."""
         more = [residual(data, self.topology, state.x, state.R, state.factor + step) for step in (1.0, 0.0)]
         return self._solve(state.K, data.imposed, more[0] - more[1])
 
     def _solve(self, K: Any, change: Tensor, missing: Tensor) -> np.ndarray:
-        """Increment of all freedoms that balances the forces `missing`; held freedoms move by `change`."""
+        """Increment of all degrees of freedom that balances the forces `missing`; held ones move by `change`."""
         free = self.topology.free.numpy()
         result = change.flatten().numpy().copy()
         result[free] = 0.0
@@ -195,7 +195,7 @@ class Continuation:
 
 
 def agree_with_rates(size: Callable[[Any], float], total: Any, before: Any, after: Any) -> bool:
-    """Whether the increment of a step agrees with those of the rates at its ends.
+    """True if the increment of a step agrees with those of the rates at its ends.
 
     size   norm of an increment. Below INCREMENT_TOLERANCE a difference is rounding: a straight shaft that turns does not move.
     """

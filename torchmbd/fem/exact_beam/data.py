@@ -30,7 +30,7 @@ class BeamData(NamedTuple):
     mass, first, second   NodalMass (assemble.py) [n], [n, 3], [n, 3, 3]
     gravity    [3], m/s2
     spin, center  angular velocity [3], rad/s, about an axis through a point [3], m
-    imposed    displacements and rotation vectors of held freedoms [n, 6]
+    imposed    displacements and rotation vectors of held degrees of freedom [n, 6]
     """
 
     stiffness: Float[Tensor, "*lanes m 6 6"]
@@ -67,7 +67,7 @@ RANKS = (3, 2, 3, 3, 2, 2, 3, 2, 1, 2, 3, 1, 1, 1, 2)
 
 
 class Topology(NamedTuple):
-    """Nodes of the elements [m, 2] and free freedoms 6 * node + i [f]."""
+    """Nodes of the elements [m, 2] and free degrees of freedom 6 * node + i [f]."""
 
     elements: Int[Tensor, "m 2"]
     free: Int[Tensor, " f"]

@@ -78,7 +78,7 @@ def line_loads(name: str, line: BeamLine, wrench: Any) -> Float[Tensor, "m 6"]:
 
 
 def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> tuple[list[int], Float[Tensor, "n 6"]]:
-    """Return the held freedoms 6 * node + i, and the imposed displacements and rotations [n, 6]; default: all of "start"."""
+    """Return the held degrees of freedom 6 * node + i, and the imposed motions [n, 6]; default: all of "start"."""
     supports = {"start": "all"} if supports is None else supports
     if not isinstance(supports, Mapping) or not supports:
         raise InputError((name, "supports"), supports, "nodes -> freedoms, at least one", noun=f"supports of {name!r}")

@@ -62,7 +62,7 @@ class SectionTable(nn.Module):
 
     @property
     def mass_varies(self) -> bool:
-        """Whether the mass depends on the design."""
+        """True if the mass depends on the design."""
         return any(section.mass_varies for section in self.sections)
 
     def stiffness(self, at: Float[Tensor, "*places"]) -> Float[Tensor, "*lanes *places 6 6"]:

@@ -42,7 +42,7 @@ def solve(search: Continuation, data: BeamData) -> tuple[Tensor, Tensor, Tensor,
 
 
 class _Search(torch.autograd.Function):
-    """x, R, K^-1 of the free freedoms (empty without `derivatives`), factor and code of each lane; not differentiable."""
+    """x, R, K^-1 (of free degrees of freedom; empty without `derivatives`), factor, code of each lane; not differentiable."""
 
     @staticmethod
     def forward(search: Continuation, derivatives: bool, *data: Tensor) -> tuple[Tensor, ...]:

@@ -236,8 +236,7 @@ class Laminate(nn.Module):
     def held_expansion(
         self, temperature: float | Tensor = 0.0, gradient: float | Tensor = 0.0, moisture: float | Tensor = 0.0
     ) -> HeldExpansion:
-        """Return the loads and ply stresses that would cause the free strains of a change of temperature or moisture.
-        Arguments as in `expansion`.
+        """Return the loads and ply stresses that would cause the free strains of a change; arguments as in `expansion`.
 
         A laminate that is held without strain carries the opposite ones.
         """
@@ -310,7 +309,7 @@ class Laminate(nn.Module):
 
     @property
     def centered(self) -> bool:
-        """Whether the first moment is zero whatever the thicknesses: a symmetric stack, or one density, without offset."""
+        """True if the first moment is zero whatever the thicknesses: a symmetric stack, or one density, without offset."""
         densities = {id(p.density) if is_variable(p.density) else p.density for p in self._plies.layers}
         return self.offset == 0.0 and (self.symmetric or len(densities) == 1)
 

@@ -8,7 +8,7 @@ bending: M_xx,x = Q_x and M_yy,y = Q_y, all other derivatives of forces and mome
 and its integral is the unit matrix, for any stack: unbalanced, unsymmetric, sandwich. A homogeneous plate gets the
 parabola and As = 5/6 G h.
 
-The two states are taken along the axes of the laminate. So As is no exact tensor: a general stack whose axes are turned
+The two states are taken along the axes of the laminate. So As is not an exact tensor: a general stack whose axes are turned
 one way and its plies the other differs by up to a sixth of As; axes along the direction of bending are the best choice.
 
 Differentiable, forward and reverse, in angles and thicknesses, with lanes `...`.

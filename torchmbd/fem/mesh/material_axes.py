@@ -7,7 +7,7 @@
 A rule may be a mapping, as an experiment file has it: {"around": {"axis": [0, 0, 1]}}.
 The direction is the first of the axes, from the one that is named, that is not normal to the cell: a rib across a cylinder has
 no direction around it and takes the next axis of the system.
-Lengths in m; all in mesh axes. Constants: a direction has no gradient by the nodes of the mesh.
+Lengths in m; all in mesh axes. Constants: a direction has no gradient with respect to the nodes of the mesh.
 Source: the material coordinate system MCID of Nastran.
 Checked in tests/fem/mesh/test_material_axes.py.
 """

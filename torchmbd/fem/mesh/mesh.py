@@ -41,7 +41,7 @@ def _none(corners: int) -> Tensor:
 
 
 def node_members(kind: str, name: Any, members: Any) -> tuple[int, ...]:
-    """Read the node indices of the set `name` of a `kind` of mesh; InputError where they are no list of whole numbers."""
+    """Read the node indices of the set `name` of a `kind` of mesh; InputError where they are not a list of whole numbers."""
     where = f"node_sets of a {kind}: {name!r}"
     nodes = indices(where, list(members) if isinstance(members, (Sequence, set)) else members)
     if nodes.dim() != 1:

@@ -34,7 +34,7 @@ def cut_quads(nodes: Float[Tensor, "n 3"], quads: Int[Tensor, "m 4"]) -> Int[Ten
 
 
 def _colors(n: int, quads: np.ndarray) -> np.ndarray:
-    """Whether each node is an odd number of sides away from the first node of its part."""
+    """True if each node is an odd number of sides away from the first node of its part."""
     tail, head = quads.ravel(), np.roll(quads, -1, axis=1).ravel()
     graph = coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)).tocsr()
     count, label = connected_components(graph, directed=False)

@@ -2,7 +2,7 @@
 
     K Psi = M Psi Kr,     Psi' M Psi = 1,     Kr = Psi' K Psi
 
-K, M     stiffness and mass of all freedoms        [..., N, N]
+K, M     stiffness and mass of all degrees of freedom        [..., N, N]
 Psi      the n lowest modes                        [..., N, n]
 Kr       reduced stiffness                         [..., n, n]
 
@@ -13,7 +13,7 @@ cut.py, or InputError is raised. Lanes with fewer modes than others are padded: 
 
 The sign of a mode, which the eigenproblem leaves open:
 
-    c' psi > 0,      c_k = exp(-DECAY k / N),      k = 0 ... N - 1 the freedoms in their order
+    c' psi > 0,      c_k = exp(-DECAY k / N),      k = 0 ... N - 1 the degrees of freedom in their order
 
 c depends on N alone, so the sign of a mode depends neither on the solver nor on the batch; and c' psi is linear: a small change
 of the design changes a sign only where psi is nearly orthogonal to c, never because two components are equally large. Nodes

@@ -1,9 +1,9 @@
-"""Constraint modes: static displacements where one interface freedom is one and all others are zero.
+"""Constraint modes: static displacements where one interface degree of freedom is one and all others are zero.
 
     K = | K_ii  K_io |        T = |         1        |        S = T' K T = K_ii - K_io K_oo^-1 K_oi
         | K_oi  K_oo |            | -K_oo^-1 K_oi    |
 
-i, o     interface and interior freedoms
+i, o     interface and interior degrees of freedom
 T        constraint modes                           [..., N, i]
 S        stiffness condensed to the interface       [..., i, i]
 
@@ -41,10 +41,11 @@ from torchmbd.math.vmap import apply_as_lanes
 
 
 def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Tensor, Tensor]:
-    """T [..., N, i] and S [..., i, i] of the interface freedoms, in their order.
+    """T [..., N, i] and S [..., i, i] of the interface degrees of freedom, in their order.
 
     M is only checked, so that messages name its rows in the whole matrix. Raises InputError: entries not finite, K or M not
-    symmetric, a diagonal entry of M not positive, interface freedoms out of range or repeated, K_oo not positive definite.
+    symmetric, a diagonal entry of M not positive, interface degrees of freedom out of range or repeated, K_oo not positive
+    definite.
     """
     pencil, K_values, M_values, lanes = parse_pencil(K, M, 1)
     size = pencil.K_form.size
@@ -54,7 +55,7 @@ def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Te
 
 
 def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
-    """Interface freedoms as integers; InputError where they are out of range, repeated, none or all."""
+    """Interface degrees of freedom as integers; InputError where they are out of range, repeated, none or all."""
     freedoms = tuple(indices("interface", list(interface)).tolist())
     for i in freedoms:
         if not 0 <= i < size:
@@ -70,7 +71,7 @@ def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
 
 @lru_cache(maxsize=64)
 def interior_freedoms(interface: tuple[int, ...], size: int) -> Tensor:
-    """The other freedoms, in rising order."""
+    """The other degrees of freedom, in rising order."""
     held = torch.zeros(size, dtype=torch.bool)
     held[list(interface)] = True
     return (~held).nonzero().squeeze(-1)
@@ -92,7 +93,7 @@ def interior(matrix: Matrix, interface: tuple[int, ...], size: int) -> Matrix:
 
 
 class Split:
-    """The form of K and its interior freedoms; and, after `factorize`, the factor of K_oo."""
+    """The form of K and its interior degrees of freedom; and, after `factorize`, the factor of K_oo."""
 
     def __init__(self, pencil: Pencil, interface: tuple[int, ...]) -> None:
         self.pencil, self.interface = pencil, interface

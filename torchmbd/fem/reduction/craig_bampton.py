@@ -1,9 +1,9 @@
-"""Craig-Bampton reduction: interface freedoms kept, the interior moves by fixed-interface modes.
+"""Craig-Bampton reduction: interface degrees of freedom kept, the interior moves by fixed-interface modes.
 
     x = T y,     T = | 1        0     |        K_oo Phi_o = M_oo Phi_o Lambda_o
                      | T_o      Phi_o |
 
-y        interface freedoms, then amplitudes of the n lowest fixed-interface modes       [m = i + n]
+y        interface degrees of freedom, then amplitudes of the n lowest fixed-interface modes       [m = i + n]
 T_o      constraint modes, -K_oo^-1 K_oi (constraint_modes.py)
 
 The equations of motion take bases that are orthonormal in M. Nothing but the span of T matters to them
@@ -53,7 +53,7 @@ def craig_bampton(
     updated: bool = True,
     more: int = 0,
 ) -> ModalBasis:
-    """Reduce to the interface freedoms and the n lowest fixed-interface modes, or a few more.
+    """Reduce to the interface degrees of freedom and the n lowest fixed-interface modes, or a few more.
 
     K, M, cluster, updated, more   as for modal_basis
     n                              number of fixed-interface modes; 0: static condensation

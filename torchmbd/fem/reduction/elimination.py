@@ -58,7 +58,7 @@ def seconds_of_blocks(blocks: Partition) -> float:
 def seconds_of_fill(*patterns: Pattern) -> float:
     """Predict the seconds of one reduction by a sparse factor.
 
-    On plates and boxes of 10,000 to 120,000 freedoms, L has (log2 N - 9) nnz / 2 entries within a fifth.
+    On plates and boxes of 10,000 to 120,000 degrees of freedom, L has (log2 N - 9) nnz / 2 entries within a fifth.
     """
     nnz, size = max(p.nnz for p in patterns), patterns[0].size
     fill = 0.5 * nnz * max(np.log2(size) - 9.0, 1.0)
@@ -118,7 +118,7 @@ def root(layout: Layout, form: Form, values: Tensor) -> Root:
 
 
 class IndefiniteStiffness(InputError):
-    """Freedoms move without stiffness, or against it; `row` of K moves most."""
+    """Degrees of freedom move without stiffness, or against it; `row` of K moves most."""
 
     def __init__(self, message: str, row: int) -> None:
         super().__init__(message)
@@ -126,7 +126,7 @@ class IndefiniteStiffness(InputError):
 
 
 def _loosest(layout: Layout, form: Form, K: Tensor) -> int:
-    """The freedom that moves most in the lowest mode of K [1, *entry], by inverse iteration."""
+    """The degree of freedom that moves most in the lowest mode of K [1, *entry], by inverse iteration."""
     like, ones = Diagonal(form.size), torch.ones(1, form.size, dtype=torch.float64)
 
     def shifted(shift: Tensor) -> tuple[Factor, Tensor]:

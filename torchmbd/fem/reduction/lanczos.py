@@ -183,7 +183,7 @@ def _repair(X: Tensor, R: Tensor, basis: Tensor, taken: Tensor) -> Tensor:
 
 
 def misses_eigenvector(apply: Callable[[Tensor], Tensor], ritz: Ritz, n: int) -> bool:
-    """Whether one of the n wanted eigenvectors of H is orthogonal to Q, and so was missed."""
+    """True if one of the n wanted eigenvectors of H is orthogonal to Q, and so was missed."""
     lanes, size, _ = ritz.Q.shape
     X = _random(lanes, size, 2)
     growth = torch.zeros_like(ritz.mu[:, 0])

@@ -20,7 +20,7 @@ What is left of psi' M psi is put into R2, in equal parts for the axes. mu and R
 
 Exact for every M: mass, center, inertia, momentum and angular momentum linear in the modes, modal mass. Exact also in
 terms of second order (inertia of the deformed body, centrifugal and Coriolis forces among modes): solids of three
-freedoms a node, lumped masses on arms, Hermite beams. Assumed there: the mass between two nodes is the same along
+degrees of freedom a node, lumped masses on arms, Hermite beams. Assumed there: the mass between two nodes is the same along
 the three axes.
 Differentiable, forward and reverse, in the values of M and in psi, with lanes.
 Checked in tests/fem/reduction/test_mass_invariants.py, tests/multibody/bodies/test_from_matrices.py.
@@ -62,7 +62,7 @@ def rigid_motions(x: Float[Tensor, "n 3"]) -> Float[Tensor, "6n 6"]:
 
 
 def has_isotropic_inertia(M: SparseMatrix) -> bool:
-    """Whether all rotary inertias of M are the same about all axes and M has no first moments: its masses need no arms."""
+    """True if all rotary inertias of M are the same about all axes and M has no first moments: its masses need no arms."""
     i, j = M.pattern.rows % 6, M.pattern.cols % 6
     values = M.values.detach().reshape(-1, M.pattern.nnz).abs()
     rotary = values * ((i >= 3) & (j >= 3))
@@ -86,7 +86,7 @@ def mass_invariants(
     """Invariants of the module header, with the keys and shapes of invariants.py.
 
     x     nodes from the origin of the body frame [m]
-    M     of all freedoms 6 * node + i, symmetric; freedoms that do not exist have no entries
+    M     of all degrees of freedom 6 * node + i, symmetric; degrees of freedom that do not exist have no entries
     psi   modes at the nodes: three displacements, three rotations
     arms  whether rotary inertia is that of masses on arms; False where `has_isotropic_inertia`
     """

@@ -2,14 +2,14 @@
 
     name               span                                                                          modes
     "vibration"        the m lowest modes of the body fixed at its reference (basis.py)              m
-    "craig-bampton"    constraint modes of interface freedoms, m fixed-interface modes               i + m
+    "craig-bampton"    constraint modes of interface degrees of freedom, m fixed-interface modes               i + m
 
 m is the number n that was requested, or up to MORE more: each design is cut in a wide gap (cut.py). Static shapes, such as
 those of a change of temperature, are added to both, as many as are independent in a design (static_shapes.py).
 
-A reduction maps K and M of the free freedoms to a basis that is orthonormal in M and a full reduced stiffness, with exact
-derivatives. `updated=False` holds the basis fixed while the stiffness is differentiated (eq. 36): the fixed-mode approach
-of section 4.2, for comparison only; its gradients are wrong in general. True: updated modes, eqs. (34)-(35).
+A reduction maps K and M of the free degrees of freedom to a basis that is orthonormal in M and a full reduced stiffness, with
+exact derivatives. `updated=False` holds the basis fixed while the stiffness is differentiated (eq. 36): the fixed-mode
+approach of section 4.2, for comparison only; its gradients are wrong in general. True: updated modes, eqs. (34)-(35).
 Checked in tests/fem/reduction/test_craig_bampton.py, tests/sensitivity/test_eigen_fixed_modes.py.
 """
 
@@ -65,7 +65,7 @@ class VibrationModes:
 
 @dataclass(frozen=True)
 class CraigBampton:
-    """Interface freedoms and the lowest fixed-interface modes, at least n; see the module header."""
+    """Interface degrees of freedom and the lowest fixed-interface modes, at least n; see the module header."""
 
     n: int
     interface: Sequence[int] = ()

@@ -16,7 +16,7 @@ columns in the time of one and a half. Threads share the columns. Processor seco
     117,120         0.6           1.5        6.3
 
 A mass has the root G = P' L or G = P' L sqrt(D), and G'^-1 X = M^-1 G X.
-Tensors are [lane, N, columns] in the order of the freedoms. No autograd inside.
+Tensors are [lane, N, columns] in the order of the degrees of freedom. No autograd inside.
 Source: Duff and Reid, ACM TOMS 9 (1983) 302-325 (multifrontal); Liu, SIAM J. Matrix Anal. Appl. 11 (1990) 134-172
 (elimination trees). Checked in tests/fem/reduction/test_sparse_factor.py, tests/extensions/native/test_compiled_products.py.
 """
@@ -46,7 +46,7 @@ SLOW = 20_000  # freedoms from which a warning says that cvxopt is missing
 class SparseLayout:
     """The pattern, with its diagonal, and its order, which all matrices of one pattern share.
 
-    order, inverse   as of `Partition`: the freedoms keep their order here
+    order, inverse   as in `Partition`: the degrees of freedom keep their order here
     """
 
     def __init__(self, pattern: Pattern) -> None:
@@ -226,7 +226,7 @@ def _warn_missing() -> None:
 class SparseFactor:
     """A^-1 of a batch of matrices, values [lane, nnz] on the pattern of the layout.
 
-    pivot   of each lane, as of `Triangle` [lane]
+    pivot   of each lane, as in `Triangle` [lane]
     """
 
     def __init__(self, layout: SparseLayout, values: Tensor) -> None:

@@ -1,4 +1,4 @@
-"""Static displacements U = K^-1 F of the free freedoms under columns of loads, differentiable in K and in F.
+"""Static displacements U = K^-1 F of the free degrees of freedom under columns of loads, differentiable in K and in F.
 
     dU = K^-1 (dF - dK U)                                             forward
     for a cotangent G of U:   Y = K^-1 G,   <G, dU> = <Y, dF> - <Y U', dK>      reverse

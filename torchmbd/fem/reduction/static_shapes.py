@@ -5,7 +5,7 @@
     (T' K T) A = (T' M T) A Kr,     A' (T' M T) A = 1,                      basis T A
 
 Psi      the modes of a reduction [..., N, m], orthonormal in M
-F        loads on the free freedoms [..., N, k], of the present design
+F        loads on the free degrees of freedom [..., N, k], of the present design
 C        orthonormalization by Gram and Schmidt; held constant in derivatives, for only the span of T counts
 
 A shape that modes and earlier shapes have is left out, in each design by itself: moisture expands a metal, or the plies

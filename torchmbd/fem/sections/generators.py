@@ -43,7 +43,7 @@ def angles_of_walls(angles: Angles | Mapping[str, Angles]) -> Mapping[str, Angle
 
 
 def count_of_layers(angles: Any) -> int:
-    """Return the number of plies; InputError where angles are no list."""
+    """Return the number of plies; InputError where angles are not a list."""
     if isinstance(angles, str) or not hasattr(angles, "__len__") or getattr(angles, "ndim", 1) != 1:
         raise InputError("angles", angles, "one angle per ply, such as mbd.deg([45, -45]) [rad]")
     return len(angles)

@@ -99,7 +99,7 @@ def l_section(
 ) -> Section:
     """An angle with its corner at the lower left: outer width and height; walls "bottom" and "left".
 
-    Others as of `c_section`.
+    Others as in `c_section`.
     """
 
     def path(t: Any, width: Any, height: Any) -> list[tuple]:
@@ -124,7 +124,7 @@ def z_section(
 ) -> Section:
     """A Z: outer width of each flange with the web, outer height; walls "bottom" (to +y), "web", "top" (to -y).
 
-    Others as of `c_section`.
+    Others as in `c_section`.
     """
 
     def path(t: Any, width: Any, height: Any) -> list[tuple]:
@@ -150,7 +150,7 @@ def hat_section(
 ) -> Section:
     """A hat that opens to -z: width from foot to foot, outer width of its crown, outer height.
 
-    Walls "left_foot", "left_web", "crown", "right_web", "right_foot". Others as of `c_section`.
+    Walls "left_foot", "left_web", "crown", "right_web", "right_foot". Others as in `c_section`.
     """
     if not number(crown) < number(width) - 2.0 * (r := _checked(radius)):
         limit = f"the width {number(width):g} m" + (f" minus twice the radius {r:g} m" if r else "")
@@ -181,7 +181,7 @@ def t_section(
     cells: tuple[int, int] = _CELLS,
     order: int = 2,
 ) -> Section:
-    """A T: width of its flange "top", whole height; the plies of its "web" from left to right. Others as of `c_section`.
+    """A T: width of its flange "top", whole height; the plies of its "web" from left to right. Others as in `c_section`.
 
     cells   along each half of the flange and along the web, through each ply
     """

@@ -73,7 +73,7 @@ class Section(nn.Module):
     """A meshed section; `.angles` [rad] is its parameter, one value for each layer that the mesh names.
 
     mesh     elements with their layers and wall angles; dimensions of it that vary are parameters: "width", "thickness"
-    ply      one Ply or Orthotropic, or one for each layer; numbers of it that vary are parameters, as of a Laminate
+    ply      one Ply or Orthotropic, or one for each layer; numbers of it that vary are parameters, as for a Laminate
     angles   of the fiber about the wall's normal, from x to the wall's tangent [layers], rad
 
     The functions of `mbd.sections` make it: tube, box, strip, circle, rectangle, and profiles such as
@@ -119,7 +119,7 @@ class Section(nn.Module):
 
     @property
     def mass_varies(self) -> bool:
-        """Whether the mass depends on the design."""
+        """True if the mass depends on the design."""
         return self._plies.vary or bool(self.mesh.dimensions)
 
     @property

@@ -61,7 +61,7 @@ class WarpingProblem:
         return known[1]
 
     def matrix(self, element: Float[Tensor, "m 3k 3k"]) -> csc_array:
-        """Return E of one design, with the identity in the rows and columns of held freedoms."""
+        """Return E of one design, with the identity in the rows and columns of held degrees of freedom."""
         k = element.shape[-1] // 3
         blocks = element.reshape(-1, k, 3, k, 3).transpose(2, 3).reshape(-1, 3, 3)
         data = element.new_zeros(self.blocks, 3, 3).index_add_(0, self.position, blocks).numpy().ravel()[self._order]
@@ -161,7 +161,7 @@ def _batched(function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, 
 
 
 def _held_freedoms(yz: Tensor) -> list[int]:
-    """Return the freedoms to hold: all of a central node, and one of the node farthest from it, against rotation about x."""
+    """Return degrees of freedom to hold: all of a central node, and one far away, against rotation about x."""
     first = int(((yz - yz.mean(0)) ** 2).sum(1).argmin())
     arm = yz - yz[first]
     second = int((arm**2).sum(1).argmax())

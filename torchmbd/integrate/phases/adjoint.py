@@ -271,7 +271,7 @@ class RunAdjoint:
         return solver
 
     def _grid(self, record: PhaseRecord, points: range, base: int, group: list[int]) -> Grid:
-        """The regular steps of lanes as of `_solver`; leaves are the data and the state at the first point."""
+        """The regular steps of lanes as in `_solver`; leaves are the data and the state at the first point."""
         run, lanes = self.run, [self.lanes[i] for i in group]
         every, c, rows = run.every, self._left_out(record), self._rows_of_steps(record)
         at = slice(-(-points.start // every), points[-1] // every + 1)

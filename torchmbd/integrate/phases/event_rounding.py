@@ -1,4 +1,4 @@
-"""The rounding of an event's function: a change of its sign that is nothing else is no event.
+"""The rounding of an event's function: a change of its sign that is nothing else is not an event.
 
     rounding = max |g(x (1 + e), D (1 + e)) - g(x, D)|        each e is 1e-12 or -1e-12, by a fixed pattern
 
@@ -44,7 +44,7 @@ class EventRounding:
         self.largest = torch.zeros(dynamics.lanes, dtype=torch.float64)
 
     def exceeded(self, lanes: Sequence[int], t: tuple[Tensor, Tensor], x: tuple[State, State], g: Tensor) -> Tensor:
-        """Whether the function is more than rounding at one end of steps of lanes at least [m].
+        """True if the function is more than rounding at one end of steps of lanes at least [m].
 
         t, x   times [1, m] and states of the system at both ends;  g: values [2, m] of the function there
 

@@ -87,7 +87,7 @@ class Event:
         return self.of(motion)[:, 0][None]
 
     def passed(self, before: Tensor, after: Tensor) -> Tensor:
-        """Whether the function passed zero between two values [lanes].
+        """True if the function passed zero between two values [lanes].
 
         A first value of the size of rounding does not count. A second value of this size counts as zero, so that an event at
         the end of a step belongs to this step and not to the next one.
@@ -205,7 +205,7 @@ class _Instants(IntegratedSignals):
 
     @cached_property
     def _solution(self) -> Sequence[Tensor]:
-        """Accelerations and multipliers [times, n, 1, lanes], as of `Instant`."""
+        """Accelerations and multipliers [times, n, 1, lanes], as in `Instant`."""
         dynamics, T, lanes = self.dynamics, self.dynamics.topology, self.lanes
 
         def solution(data: equations.Data, excitation: Prescribed, q: Tensor, v: Tensor) -> Tensor:

@@ -98,7 +98,7 @@ class _PhaseLoop:
         multiphase.records.append(self.record)
 
     def run(self) -> tuple[PhaseExit, Statistics]:
-        """Step until every lane has left the phase, or to the end; exits, and statistics as of Stepper."""
+        """Step until every lane has left the phase, or to the end; exits, and statistics as in Stepper."""
         record, x, last = self.record, self.record.base, len(self.times) - 1
         i, steps, every = int(self.first.min()), None, self.multiphase.every
         into = self.multiphase.states if self.multiphase.single and every == 1 else None
@@ -240,7 +240,7 @@ class _PhaseLoop:
         self.multiphase.record(self.number, first, counted, (q, v, vd, lam), rows)
 
     def _unknowns(self, c: Condensation, states: History) -> History:
-        """Condensed states as those of the whole system, zero where a body is no unknown: its motion has no error."""
+        """Condensed states as those of the whole system, zero where a body is not an unknown: its motion has no error."""
         T, (q, v, vd, lam) = self.dynamics.topology, states.states
 
         def whole(x: Tensor, rows: Tensor, count: int) -> Tensor:
@@ -261,7 +261,7 @@ class _PhaseLoop:
         return k + (k * self.h - t < self.short * self.h)
 
     def _on_grid(self, lane: int, k: int) -> bool:
-        """Whether a lane enters at a point of the grid, whatever the design."""
+        """True if a lane enters at a point of the grid, whatever the design."""
         t = float(value(self.entry.t)[0, lane])
         return not self.multiphase.begin_depends[self.number] and abs(t - k * self.h) < _SAME * self.h
 
@@ -330,7 +330,7 @@ class _PhaseLoop:
         return self._past_end(points) if self.event is None else self.event.passed(g[:, :-1], g[:, 1:]).T
 
     def _past_end(self, points: Tensor) -> Tensor:
-        """Whether points of the grid are after, or little before, the end of a phase at a known time [points, lanes]."""
+        """True if points of the grid are after, or little before, the end of a phase at a known time [points, lanes]."""
         t = self.times[points, None]
         if self.ends is None:
             return torch.zeros(len(t), self.lanes, dtype=torch.bool)

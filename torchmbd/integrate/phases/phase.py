@@ -43,7 +43,7 @@ class Phase:
 
     until    when it ends: a time [s], or an Event; None: with the simulation (the last phase only)
     lasting  how long it lasts [s], instead of `until`
-             (times may be tensors [] that are being differentiated: the motion has gradients by them)
+             (times may be tensors [] that are being differentiated: the motion has gradients with respect to them)
     lock     joints, or their names, that are held where they are when the phase begins
     release  joints, or their names, that do not act
     laws     names of force elements of one action each -> laws that act in their places

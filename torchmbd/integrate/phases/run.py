@@ -1,8 +1,8 @@
 """The record of a motion through its phases, whatever the integrator: states on the grid, switches, status of lanes.
 
 A motion is recorded on one grid of times for all lanes. Lanes pass from phase to phase at their own times t*, between those of
-the grid. A `PhaseExit` has these times and the states there, with *total* derivatives by the design; a `Switch` shows them
-to the user. On the grid, derivatives are taken at fixed times.
+the grid. A `PhaseExit` has these times and the states there, with *total* derivatives with respect to the design; a `Switch`
+shows them to the user. On the grid, derivatives are taken at fixed times.
 Checked in tests/integrate/phases/test_phase.py.
 """
 
@@ -104,7 +104,7 @@ class MultiphaseRun:
 
     @property
     def duration_moves(self) -> bool:
-        """Whether tangents are those by the duration as well: points of the grid move with it."""
+        """True if tangents are those by the duration as well: points of the grid move with it."""
         return isinstance(self.whole.data.get(DURATION), Pair)
 
     def grid_times(self, points: Tensor, like: Any) -> Any:

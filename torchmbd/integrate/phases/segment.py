@@ -63,12 +63,12 @@ class Segment:
 
     @property
     def time_name(self) -> str:
-        """The name among the data of the time at which it ends, or that it lasts, where the motion has gradients by it."""
+        """Name, in the data, of its end or its duration, if the motion has a gradient with respect to this time."""
         return f"end of phase {self.name}"
 
     @property
     def ends_by_event(self) -> bool:
-        """Whether a function of the motion ends it: of designs and mode shapes as well."""
+        """True if a function of the motion ends it: of designs and mode shapes as well."""
         return isinstance(self.phase.until, Event)
 
     @classmethod
@@ -94,7 +94,7 @@ def single_segment(dynamics: Dynamics) -> list[Segment]:
 
 
 def is_single(segments: Sequence[Segment], whole: Topology) -> bool:
-    """Whether there is one segment, in which all joints and laws of the whole system act."""
+    """True if there is one segment, in which all joints and laws of the whole system act."""
     return len(segments) == 1 and segments[0].topology is whole
 
 

@@ -69,7 +69,7 @@ class ShortEvents:
 
 
 def near_zero(before: Tensor, after: Tensor, change: Tensor) -> Tensor:
-    """Whether a function may reach zero in a step, from its values at both ends and its change in the step before."""
+    """True if a function may reach zero in a step, from its values at both ends and its change in the step before."""
     return torch.minimum(before.abs(), after.abs()) <= FAR * (after - before).abs().maximum(change)
 
 

@@ -4,8 +4,8 @@
     velocities  M (v+ - v-) + Phi_q' Lambda = 0,   Phi_q v+ = -Phi_t             momentum-consistent
     impact      M (v+ - v-) + Phi_q' Lambda + g_q' lam = 0,   g'+ = -e g'-       g: the gap, e: restitution (Newton)
 
-with the constraints of the new phase. Numbers carry *total* derivatives by the design: the time t* of the switch moves
-with it.
+with the constraints of the new phase. Numbers carry *total* derivatives with respect to the design: the time t* of the switch
+moves with it.
 Source: Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 11; Pfeiffer and Glocker, Multibody Dynamics
 with Unilateral Contacts, chapter 8.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.

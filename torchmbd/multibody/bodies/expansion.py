@@ -112,7 +112,7 @@ class Expansion:
         return outside_transforms(lambda: StaticLoads(self.assembly.pattern))
 
     def free_forces(self) -> Float[Tensor, "*lanes N loads"]:
-        """Loads on the free freedoms of all static shapes."""
+        """Loads on the free degrees of freedom of all static shapes."""
         columns = [self.forces(*load)[..., None] for load in self.loads]
         lanes = torch.broadcast_shapes(*(x.shape for x in columns))
         return self.assembly.freedoms.gathered(torch.cat([x.expand(lanes) for x in columns], -1))

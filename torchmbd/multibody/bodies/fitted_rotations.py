@@ -1,4 +1,4 @@
-"""Rotations of nodes without rotational freedoms, such as those of solids: a least-squares fit of displacements of neighbors.
+"""Rotations of nodes that have displacements only, such as those of solids: a least-squares fit of their neighbors.
 
 Checked in tests/multibody/bodies/test_from_matrices.py, tests/extensions/nastran/test_elements.py.
 """
@@ -18,7 +18,7 @@ class FittedRotations:
 
     x         positions of the nodes [n, 3]
     pairs     nodes and their neighbors [p, 2]
-    missing   whether a node has no rotational freedoms [n]
+    missing   whether a node has no rotational degrees of freedom [n]
     """
 
     def __init__(self, x: Tensor, pairs: Tensor, missing: Tensor) -> None:

@@ -184,9 +184,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
     @property
     def is_held_at_a_point(self) -> bool:
-        """True if the body is held at one node of a shell. Such a body becomes softer with each mesh refinement and does not
-        converge.
-        """
+        """True if the body is held at one node of a shell: it becomes softer with each refinement and does not converge."""
         node, *others = self.reference
         leads = any(isinstance(link, RigidLink) and link.leader == node for link in self.links)
         on_beam = any(bool((part.masses().ends == node).any()) for part in self.beams.values())
@@ -247,8 +245,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         damping         stiffness-proportional damping C = damping * Kr [s]; mbd.variable(...): "rod.damping.time"
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
                         (or Interface) of `interface`; these constraint modes cause the highest frequencies of the body
-        interface       nodes where joints and loads act, or `mbd.Interface` of several nodes with six freedoms in common, or
-                        {"root": nodes} with names for `body.at("root")`, the mean motion of several (interfaces.py)
+        interface       nodes where joints and loads act, or `mbd.Interface` of several nodes with six degrees of freedom in
+                        common, or {"root": nodes} with names for `body.at("root")`, the mean motion of several
+                        (interfaces.py)
         updated         False: modes are held fixed in derivatives (eq. 36), for comparison only: gradients are wrong
         mass            "lumped" (eq. 2), or "consistent", for comparison
         rigid           node sets that move as one rigid body each

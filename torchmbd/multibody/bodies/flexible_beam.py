@@ -46,7 +46,7 @@ class BeamNode(RigidBody):
         return self._beam[0]
 
     def invariants(self) -> dict[str, Tensor]:
-        """Inertia of the node, as of `FlexibleBeam.structure`."""
+        """Inertia of the node, as in `FlexibleBeam.structure`."""
         return self.beam.structure().inertia(self.index)
 
 
@@ -63,7 +63,7 @@ class Structure(NamedTuple):
     elements: ElementProperties
 
     def inertia(self, node: int) -> dict[str, Tensor]:
-        """Invariants of a node, keys as of `RigidBody.invariants`."""
+        """Invariants of a node, keys as in `RigidBody.invariants`."""
         m = self.mass[..., node]
         moments = {"S0": self.first[..., node, :], "P0": self.second[..., node, :, :]}
         return {"mass": m, "mu": torch.zeros_like(m)} | moments
@@ -72,7 +72,7 @@ class Structure(NamedTuple):
 class FlexibleBeam(ExactBeam):
     """A beam of finite displacements and rotations, as a body of a System.
 
-    name, line, section, orientation, offset, twist   as of ExactBeam; the line must not vary with the design
+    name, line, section, orientation, offset, twist   as in ExactBeam; the line must not vary with the design
     position, axes    initial origin of the mesh axes in ground axes [m] and their rotation; the beam starts without strain
     velocity          initial velocity of that origin in ground axes [m/s]; None: the smallest that the joints allow
     angular_velocity  initial angular velocity of the beam as a rigid body, in mesh axes [rad/s]; None likewise

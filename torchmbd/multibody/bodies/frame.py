@@ -130,7 +130,7 @@ class Place:
 
     @property
     def turns(self) -> bool:
-        """Whether the axes are design variables."""
+        """True if the axes are design variables."""
         return any(map(is_variable, (self.turn_x, self.turn_y, self.turn_z)))
 
 
@@ -272,11 +272,11 @@ def set_modal_start(body: Any, *start_values: Sequence[float] | Tensor | None) -
 
 
 def has_modal_start(body: Any) -> bool:
-    """Whether a flexible body starts bent, or with modal rates: by set_modal_start, or by numbers that were loaded since."""
+    """True if a flexible body starts bent, or with modal rates: by set_modal_start, or by numbers that were loaded since."""
     return body.modal_start_given or any(bool(getattr(body, key).any()) for key in MODAL)
 
 
 def given_velocities(body: Any) -> list[bool]:
-    """Whether a body was given a velocity, and an angular velocity."""
+    """True if a body was given a velocity, and an angular velocity."""
     present = (getattr(body, key) for key in VELOCITIES)
     return [flag or bool(x.any()) for flag, x in zip(body.velocities_given, present, strict=True)]

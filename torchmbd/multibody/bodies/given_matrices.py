@@ -1,4 +1,4 @@
-"""Given mass and stiffness matrices as functions of the design: values on one pattern of all freedoms 6 * node + i.
+"""Given mass and stiffness matrices as functions of the design: values on one pattern of all degrees of freedom 6 * node + i.
 
     M, K                                   numbers                                no design variables
     M, K, {name: (value, dM, dK)}          M + (b - value) dM, K + (b - value) dK       "rod.model.<name>"
@@ -6,7 +6,7 @@
     a function of parameters, likewise     f(**parameters)                              "rod.model.<name>"
 
 Numbers are arrays, tensors, SciPy sparse matrices, or a LabeledMatrix, as readers of files make. Rows: three displacements, or
-these and three rotations, of each node in turn; or any freedoms, each row named by (node, component).
+these and three rotations, of each node in turn; or any degrees of freedom, each row named by (node, component).
 Checked in tests/multibody/bodies/test_from_matrices.py.
 """
 
@@ -45,7 +45,7 @@ class GivenMatrices:
 
     mesh       the nodes
     freedoms   number 6 * node + component of each row [N]
-    pattern    of M and K over all freedoms
+    pattern    of M and K over all degrees of freedom
     module     the module whose parameters are design variables; None: there are none
     """
 
@@ -140,7 +140,7 @@ def _labeled(label: str, matrix: Any) -> LabeledMatrix:
 
 
 def _aligned(read: list[LabeledMatrix]) -> list[LabeledMatrix]:
-    """Matrices whose files state their rows, over the rows of all of them: freedoms without mass are in K only."""
+    """Matrices whose files state their rows, over the rows of all of them: degrees of freedom without mass are in K only."""
     if any(x.rows is None for x in read):
         return read
     rows = sorted({pair for x in read for pair in x.rows or ()})
@@ -263,5 +263,5 @@ def _symmetric(name: str, key: str, pattern: Pattern, values: Tensor) -> Tensor:
 
 
 def freedom(k: int) -> str:
-    """Name of the freedom k = 6 * node + i in messages."""
+    """Name of the degree of freedom k = 6 * node + i in messages."""
     return f"node {k // 6} {COMPONENTS[k % 6]}"

@@ -1,10 +1,11 @@
-"""Interfaces of a flexible body: the motions that a Craig-Bampton reduction keeps, six freedoms each.
+"""Interfaces of a flexible body: the motions that a Craig-Bampton reduction keeps, six degrees of freedom each.
 
     node       the motion of one node
     averaged   the mean motion of several nodes, that of a frame on them (interpolation.py): the set stays flexible   (RBE3)
     rigid      the motion of nodes that are one rigid body                                                            (RBE2)
 
-A mean motion y = B u of nodes becomes a freedom of the body, and six freedoms of these nodes are eliminated,
+A mean motion y = B u of nodes becomes a degree of freedom of the body, and six degrees of freedom of these nodes are
+eliminated,
 
     u_d = B_d^-1 (y - B_r u_r)
 
@@ -30,7 +31,7 @@ from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, nod
 
 @dataclass(frozen=True)
 class Interface:
-    """Nodes whose common motion a Craig-Bampton reduction keeps, six freedoms; see the module header.
+    """Nodes whose common motion a Craig-Bampton reduction keeps, six degrees of freedom; see the module header.
 
     nodes     a node set, `mesh.edge(x=...)`, or a list of nodes
     rigid     True: they are one rigid body; False: their mean motion, the set stays flexible
@@ -61,7 +62,7 @@ class Interface:
 class Interfaces:
     """The interfaces of an argument `interface`.
 
-    kept    nodes whose freedoms are kept; mean motions are counted after the nodes of the mesh
+    kept    nodes whose degrees of freedom are kept; mean motions are counted after the nodes of the mesh
     links   of rigid interfaces
     means   of averaged interfaces
     frames  name of an interface -> its nodes with weights
@@ -132,7 +133,7 @@ class Interfaces:
 
 
 def _matrix(x: Tensor, mount: InterpolationConstraint) -> Tensor:
-    """B [6, 6 nodes]: the mean motion out of the freedoms of the nodes."""
+    """B [6, 6 nodes]: the mean motion out of the degrees of freedom of the nodes."""
     columns = 6 * len(mount.nodes)
     psi = torch.zeros(len(x), 6, columns, dtype=x.dtype)
     psi[list(mount.nodes)] = torch.eye(columns, dtype=x.dtype).reshape(-1, 6, columns)

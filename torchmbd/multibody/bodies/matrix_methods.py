@@ -65,8 +65,8 @@ class MatrixMethods:
                      or the shapes [N, m] of the modes
         freedoms     3 or 6 for each node (None: by the size of M), or (node, "x" ... "rz") of each row
         derivatives  name -> (value, dM, dK): design variables "body.model.name"; None for a matrix that does not change
-        reference    nodes that the body frame is fixed to; None: the node nearest to the center of mass, with freedoms of
-                     others where it has no rotations
+        reference    nodes that the body frame is fixed to; None: the node nearest to the center of mass, with degrees of
+                     freedom of others where it has no rotations
         options      position, axes, damping, as in `plate`
         Assumptions of inertia: fem/reduction/mass_invariants.py
         Raises InputError for matrices that are not symmetric or not positive definite, have a wrong size, or resist rigid

@@ -1,10 +1,10 @@
 """The structure stage of a body whose mass and stiffness matrices are given (given_matrices.py).
 
-    M, K over all freedoms -> rows of the free freedoms -> modes psi, Kr -> inertia invariants of M
+    M, K over all degrees of freedom -> rows of the free degrees of freedom -> modes psi, Kr -> inertia invariants of M
 
-The body frame is fixed to the reference nodes, whose freedoms are all held; without a reference, to the node nearest to the
-center of mass. If that node has no rotations, its three displacements and three freedoms of other nodes are held, so that the
-body is supported statically determined. With given modes no freedom is held.
+The body frame is fixed to the reference nodes, whose degrees of freedom are all held; without a reference, to the node
+nearest to the center of mass. If that node has no rotations, its three displacements and three degrees of freedom of other
+nodes are held, so that the body is supported statically determined. With given modes no degree of freedom is held.
 
 Nodes without rotations in the matrices get rotations by a least-squares fit of the displacements of the nodes that K couples
 with them; frames on such a node turn with these.
@@ -36,7 +36,7 @@ ISOTROPIC = 1e-6  # largest relative difference of the masses along the three ax
 
 
 class MatrixStructure:
-    """Modes and invariants of given matrices; arguments as of `FlexibleBody.from_matrices`.
+    """Modes and invariants of given matrices; arguments as in `FlexibleBody.from_matrices`.
 
     mesh, module   of GivenMatrices;  reference  nodes;  origin [3];  size  number of modes
     """
@@ -84,12 +84,12 @@ class MatrixStructure:
         return first
 
     def pencil(self) -> tuple[SparseMatrix, SparseMatrix]:
-        """Stiffness and mass of the free freedoms; where the modes are not given."""
+        """Stiffness and mass of the free degrees of freedom; where the modes are not given."""
         M, K = self.matrices.now()
         return K.restrict(self.free), M.restrict(self.free)
 
     def keep(self, reduction: VibrationModes | CraigBampton) -> None:
-        """Have another reduction of the free freedoms."""
+        """Have another reduction of the free degrees of freedom."""
         self.reduction = reduction
         with torch.no_grad():
             self._reduce()
@@ -105,7 +105,7 @@ class MatrixStructure:
         return mass_invariants(self.mesh.nodes - self.origin, M, psi, self._arms) | {"Kr": Kr, "psi": psi}
 
     def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:
-        """See FlexibleBody. None where the caller supplies the modes: no freedom is held then."""
+        """See FlexibleBody. None where the caller supplies the modes: no degree of freedom is held then."""
         if self.shapes is not None:
             return None
         with torch.no_grad():
@@ -212,7 +212,7 @@ class MatrixStructure:
             )
 
     def _held(self, M: SparseMatrix, reference: Any) -> tuple[list[int], list[int]]:
-        """Reference nodes, and the freedoms that are held."""
+        """Reference nodes, and the degrees of freedom that are held."""
         x = self.mesh.nodes
         present = torch.zeros(M.size, dtype=torch.bool)
         present[self.matrices.freedoms] = True
@@ -258,7 +258,7 @@ class MatrixStructure:
         return [node], [*first, *(int(k) for k in order[:3])]
 
     def _given_shapes(self, modes: Any) -> Float[Tensor, "6n m"]:
-        """Given modes on all freedoms."""
+        """Given modes on all degrees of freedom."""
         shapes = reals(f"modes of {self.name!r}", modes)
         rows = len(self.matrices.freedoms)
         if shapes.dim() != 2 or shapes.shape[0] != rows or not 0 < shapes.shape[1] <= rows:

@@ -133,7 +133,7 @@ class ModalDamping(nn.Module):
 
 
 def _quarter_root(Kr: Float[Tensor, "*lanes m m"]) -> Float[Tensor, "*lanes m m"]:
-    """Kr^-1/4; zero for freedoms without stiffness, which lose no energy."""
+    """Kr^-1/4; zero for degrees of freedom without stiffness, which lose no energy."""
     fixed = Kr.detach()
     values, V = torch.linalg.eigh(fixed)
     elastic = values > _FREE * values[..., -1:]

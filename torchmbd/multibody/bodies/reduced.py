@@ -27,7 +27,7 @@ MOST_NAMES = 8  # of nodes in a message
 
 
 def matrices(assembly: Assembly, points: MassPoints | None = None) -> tuple[SparseMatrix, Matrix]:
-    """Stiffness and mass of the free freedoms, with the same lanes; points: `assembly.masses()`, if it is known already.
+    """Stiffness and mass of the free degrees of freedom, with the same lanes; points: `assembly.masses()`, if known.
 
     A lumped mass is its diagonal [..., N]; of N designs a sparse matrix, as [N, N] would be a dense one.
     """
@@ -53,7 +53,7 @@ def reduced(
     updated: bool,
     shapes: StaticShapes | None = None,
 ) -> tuple[VibrationModes | CraigBampton, int]:
-    """The reduction of a kind to `modes` modes, or a few more, and the number of the first design; arguments as of
+    """The reduction of a kind to `modes` modes, or a few more, and the number of the first design; arguments as in
     `FlexibleBody.plate`. Static shapes are added to the modes.
 
     Raises InputError for a kind that does not exist, a number of modes that the mesh does not have, and interface nodes
@@ -79,7 +79,7 @@ def reduced(
 
 
 def _place(assembly: Assembly, row: int) -> str:
-    """A sentence about a free freedom that moves: its node, its direction and the nodes beside it."""
+    """A sentence about a free degree of freedom that moves: its node, its direction and the nodes beside it."""
     pattern, free, count = assembly.pattern, assembly.freedoms.free, len(assembly.mesh.nodes)
     node, direction = _freedom_name(assembly, int(free[row]))
     columns = pattern.column[int(pattern.start[row]) : int(pattern.start[row + 1])]
@@ -92,14 +92,14 @@ def _place(assembly: Assembly, row: int) -> str:
 
 
 def _freedom_name(assembly: Assembly, freedom: int) -> tuple[str, str]:
-    """The node of a freedom and its direction, as "node 3", "about x"."""
+    """The node of a degree of freedom and its direction, as "node 3", "about x"."""
     node, component = divmod(freedom, 6)
     named = getattr(assembly.mesh, "node_name", lambda k: f"node {k}")(node)
     return named, f"{'along' if component < 3 else 'about'} {'xyz'[component % 3]}"
 
 
 def _without_mass(assembly: Assembly) -> str:
-    """A message that names the first freedom with stiffness and without mass; "" if there is none."""
+    """A message that names the first degree of freedom with stiffness and without mass; "" if there is none."""
     M = assembly.mass()
     if isinstance(M, SparseMatrix):
         on = M.pattern.rows == M.pattern.cols
@@ -113,7 +113,7 @@ def _without_mass(assembly: Assembly) -> str:
 
 
 def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence[int]) -> tuple[int, ...]:
-    """Rows of the free freedoms that belong to interface nodes."""
+    """Rows of the free degrees of freedom that belong to interface nodes."""
     for node in interface:
         if node in reference or list(interface).count(node) > 1:
             allowed = "nodes that are no reference, each once"

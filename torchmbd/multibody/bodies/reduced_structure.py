@@ -45,7 +45,7 @@ NORMAL = 1e-9  # largest relative unsymmetry, and error of a modal mass that cou
 
 
 class ReducedStructure:
-    """Given modes and invariants, constant for all designs; arguments as of `FlexibleBody.from_reduced`."""
+    """Given modes and invariants, constant for all designs; arguments as in `FlexibleBody.from_reduced`."""
 
     module = None
     reference: Sequence[int] = ()
@@ -152,7 +152,7 @@ class ReducedStructure:
         return invariants
 
     def flexibility(self) -> None:
-        """None: the stiffness of the freedoms of nodes is not known."""
+        """None: the stiffness of the degrees of freedom of nodes is not known."""
         return None
 
     def _normalized(self, invariants: dict[str, Tensor], Kr: Tensor, psi: Tensor) -> dict[str, Tensor]:

@@ -33,7 +33,7 @@ _OF_START = ("velocity", "angular_velocity")  # buffers or parameters of the sta
 
 
 def has_reduction(body: Any) -> bool:
-    """Whether the modes of a flexible body were chosen here: not given by the user, nor by another program."""
+    """True if the modes of a flexible body were chosen here: not given by the user, nor by another program."""
     return hasattr(body if body.given_structure is None else body.given_structure, "reduction")
 
 

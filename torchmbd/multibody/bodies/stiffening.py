@@ -67,7 +67,7 @@ class Stiffening:
     ) -> dict[str, Tensor]:
         """F1 [..., 3, m, m], F2 [..., 3, 3, m, m], and "psi2" [..., nodes, 6, m, m], f and g of the nodes that are asked for.
 
-        K     stiffness of the free freedoms
+        K     stiffness of the free degrees of freedom
         x     places of the mass points from the origin of the body
         psi   modes at the nodes [..., n, 6, m]
         """

@@ -81,7 +81,7 @@ def assemble(
 
     body_of   number of the body of each attached vector; known bodies are counted after the bodies
     beams     attached points of the starts of all beam elements, then of their ends
-    Others as of `Topology`.
+    Others as in `Topology`.
     """
     n, flexible, ground = len(names), len(mode_counts), len(names) + len(prescribed_bodies)
     argument_vectors, action_vectors = (

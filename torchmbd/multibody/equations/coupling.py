@@ -1,9 +1,9 @@
 """Which bodies forces and joints couple, and the few directions from which matrices of tangents follow.
 
-    X D  ->  X          D [n_v, k]: sums of unit vectors of freedoms that no row of X has together
+    X D  ->  X          D [n_v, k]: sums of unit vectors of degrees of freedom that no row of X has together
 
 A row of the equations of motion belongs to a body; it has entries for that body and for those that share a joint, an action, a
-beam element or a controller with it. Bodies get colors so that no two of a set share one; freedoms of one color go
+beam element or a controller with it. Bodies get colors so that no two of a set share one; degrees of freedom of one color go
 together. A chain of beam elements takes 18 directions, however long it is.
 Source: Curtis, Powell and Reid, IMA J. Appl. Math. 13 (1974) 117-119.
 Checked in tests/multibody/equations/test_coupling.py.
@@ -27,7 +27,7 @@ class Coupling:
 
     @classmethod
     def of(cls, T: Any) -> Coupling:
-        """The directions of a topology; those of all freedoms where its rates are not independent."""
+        """The directions of a topology; those of all degrees of freedom where its rates are not independent."""
         if T.spread is not None:
             every = torch.arange(T.n_v).expand(T.n_v + T.rows, T.n_v)
             return cls(torch.eye(T.n_v, dtype=torch.float64), every)

@@ -61,7 +61,7 @@ class Placement:
     A_of  [3, 3, vectors]      rotation of the body of each vector
     rho   [3, vectors]         vectors in body axes
     g     [3, vectors]         vectors in ground axes; points include the origin of their body
-    Y    [3, modes, vectors of flexible bodies]  their derivatives by w; None without any
+    Y    [3, modes, vectors of flexible bodies]  their derivatives with respect to w; None without any
     arguments                  the same, for each argument of each kind of primitive
     drives                     what the laws prescribe at this time, and counted angles, for each kind of primitive
     t                          the time

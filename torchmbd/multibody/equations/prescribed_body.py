@@ -1,4 +1,4 @@
-"""Prescribed bodies: their motion is known, because joints to the ground and a drive leave them no freedom
+"""Prescribed bodies: their motion is known, because joints to the ground and a drive leave them no degree of freedom
 (condensation.py).
 
     angle(t) = law(t) - law(0)        A(t) = turn(angle) A,   r(t) = r + (turn(angle) - 1) (r - center)

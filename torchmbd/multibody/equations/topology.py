@@ -52,7 +52,7 @@ class Prescribed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Schedule(Sequence[Prescribed]):
-    """Prescribed quantities at n times, as of Prescribed with an axis of times in front; a sequence of those of each time."""
+    """Prescribed quantities at n times, as in Prescribed with an axis of times in front; a sequence of those of each time."""
 
     laws: list[tuple | None]
     A: Tensor
@@ -191,7 +191,7 @@ class Topology:
         return [p.prescribed_jets(t, data) if p.driven else None for p in self.primitives]
 
     def prescribed(self, t: Tensor, data: Mapping[str, Any] | None = None) -> Prescribed:
-        """Prescribed quantities at time t; arguments as of `law_jets`."""
+        """Prescribed quantities at time t; arguments as in `law_jets`."""
         if t.numel() == 1:
             return self.schedule(t.reshape(1), data)[0]
         A, r = self.poses(t)
@@ -200,7 +200,7 @@ class Topology:
         return Prescribed(laws, A.movedim(0, -1)[..., 0, :], r.movedim(0, -1)[..., 0, :], t)
 
     def schedule(self, times: Tensor, data: Mapping[str, Any] | None = None) -> Schedule:
-        """Prescribed quantities at each of the times [n]; data as of `law_jets`."""
+        """Prescribed quantities at each of the times [n]; data as in `law_jets`."""
         laws = [p.prescribed(times, data) if p.driven else None for p in self.primitives]
         return Schedule(laws, *self.poses(times), times)
 

@@ -9,7 +9,7 @@ the nearest extremum; only a start exactly at an unstable equilibrium stays ther
 With beams the loads grow in steps (load_steps.py) where the start is stable under small loads. `unstable=True` leaves the signs
 of the eigenvalues, for states that are stable by other forces than those of the stiffness: a shaft above its critical speed.
 
-Derivatives by the design are those of one more step with the exact matrix, the implicit function theorem:
+Derivatives with respect to the design are those of one more step with the exact matrix, the implicit function theorem:
 
     dq/db = -(J^+ Phi_b + N (N' K N)^-1 N' (f_b + Phi_q,b' lam - K J^+ Phi_b))
 
@@ -59,7 +59,8 @@ class Balance:
     q [n_q], lam [rows]         coordinates, and multipliers of least norm
     inverse [n_v, n_v + rows]   derivative of the increment of q by the residual (f, Phi), times -1
     failure                     why there is no equilibrium, else ""; q is then the start of the search
-    instability                 why no motion should start here: an unstable freedom or one without stiffness, else ""
+    instability                 why no motion should start here: an unstable degree of freedom or one without stiffness, else
+                                ""
     """
 
     q: Tensor
@@ -149,7 +150,7 @@ def _at_spin(rotation: SteadyRotation | None, data: equations.Data) -> SteadyRot
 def equilibrium_coordinates(
     dynamics: Any, balances: list[Balance], t: Tensor, rotation: SteadyRotation | None = None
 ) -> Any:
-    """Coordinates of equilibrium [n_q, 1, lanes], with derivatives by the data: a last Newton step that carries them."""
+    """Coordinates of equilibrium [n_q, 1, lanes] with their derivatives in the data, which a last Newton step carries."""
     T, data = dynamics.topology, dynamics.data
     q, lam = (torch.stack([getattr(balance, name) for balance in balances], -1)[:, None] for name in ("q", "lam"))
     inverse = torch.stack([balance.inverse for balance in balances])
@@ -237,7 +238,7 @@ def _balance(
 ) -> tuple[Balance | None, float]:
     """The equilibrium at q, or None where forces do not balance, and the size of forces that count as none.
 
-    largest   of the forces of all steps; all_around: as of `_find_equilibrium`
+    largest   of the forces of all steps; all_around: as in `_find_equilibrium`
     """
     T, canceling = dynamics.topology, _canceling(dynamics, rest, q, t)
     small = _FORCE * largest + _ROUNDING * canceling
@@ -257,7 +258,7 @@ def _balance(
 
 
 def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
-    """Whether an axis is half a turn away from its prescribed angle, where the constraint is satisfied too."""
+    """True if an axis is half a turn away from its prescribed angle, where the constraint is satisfied too."""
     at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
     for kind, vectors, drive in zip(T.primitives, at.arguments, at.drives, strict=True):
         if isinstance(kind, Angle) and drive is not None:
@@ -289,7 +290,7 @@ def _canceling(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor) -> floa
 def _step(rest: Linearization, unstable: bool, small: float) -> Tensor:
     """Increment [n_v] of Newton's method: towards smaller energy, or, if `unstable`, to the nearest equilibrium of any kind.
 
-    small   size of forces that balance: they move no freedom that has hardly any stiffness
+    small   size of forces that balance: they move no degree of freedom that has hardly any stiffness
     """
     active, J = rest.active, rest.Phi_q[:, rest.active]
     close = -torch.linalg.pinv(J, rtol=1e-9) @ rest.phi
@@ -317,7 +318,7 @@ def _stiffness(rest: Linearization) -> tuple[Tensor, Tensor]:
 
 
 def _inverse(rest: Linearization) -> Tensor:
-    """`Balance.inverse`; freedoms without stiffness do not move."""
+    """`Balance.inverse`; degrees of freedom without stiffness do not move."""
     active, n = rest.active, len(rest.forces)
     close = torch.linalg.pinv(rest.Phi_q[:, active], rtol=1e-9)
     slide = rest.N @ _flexibility(rest.reduced(rest.K)) @ rest.N.T
@@ -328,7 +329,7 @@ def _inverse(rest: Linearization) -> Tensor:
 
 
 def _flexibility(K: Tensor) -> Tensor:
-    """Inverse of a stiffness; freedoms without stiffness do not move."""
+    """Inverse of a stiffness; degrees of freedom without stiffness do not move."""
     inverse, singular = torch.linalg.inv_ex(K)
     is_regular = not int(singular) and float(K.norm() * inverse.norm()) < 1.0 / _NO_STIFFNESS
     return inverse if is_regular else torch.linalg.pinv(K, rtol=_NO_STIFFNESS)

@@ -40,7 +40,7 @@ _UNBALANCED, _ROUNDING = 100.0, 1e-11  # unsymmetry of the stiffness that unbala
 
 @dataclass(frozen=True)
 class Linearization:
-    """One design at rest at q [n_q]: residual forces, constraints, and their derivatives by an increment of q.
+    """One design at rest at q [n_q]: residual forces, constraints, and their derivatives with respect to an increment of q.
 
     forces [n_v], phi [rows]   residual without constraint forces; violations of constraints
     K, C, M [n_v, n_v]         stiffness and damping, both with the forces of the multipliers, and mass; C and M on demand
@@ -80,7 +80,7 @@ class Linearization:
         unstrained: Tensor | None = None,
         excitation: Prescribed | None = None,
     ) -> Linearization:
-        """Linearize `dynamics` of one design at q and time t; arguments as of `each`."""
+        """Linearize `dynamics` of one design at q and time t; arguments as in `each`."""
         return cls.each(dynamics, q[:, None, None], t, offset, observer, unstrained, excitation)[0]
 
     @classmethod
@@ -180,7 +180,7 @@ class Linearization:
 
     @property
     def negative_mass(self) -> bool:
-        """Whether an eigenvalue of the inertia is negative; those of parts without inertia are zero."""
+        """True if an eigenvalue of the inertia is negative; those of parts without inertia are zero."""
         return negative_mass(self.inertia)
 
     def factored_inertia(self) -> Tensor:
@@ -195,14 +195,14 @@ class Linearization:
 
     @property
     def gyroscopic(self) -> bool:
-        """Whether stiffness is symmetric and damping antisymmetric, to rounding: the system is conservative."""
+        """True if stiffness is symmetric and damping antisymmetric, to rounding: the system is conservative."""
         K, C = self.reduced(self.K), self.reduced(self.C)
         unsymmetric, dissipative = (K - K.T).abs().max(), (C + C.T).abs().max()
         return bool(unsymmetric <= _ROUNDING * K.abs().max()) and bool(dissipative <= _ROUNDING * C.abs().max())
 
     @property
     def nonconservative(self) -> bool:
-        """Whether forces without a potential, such as those that turn with a body, make the stiffness unsymmetric.
+        """True if forces without a potential, such as those that turn with a body, make the stiffness unsymmetric.
 
         Unbalanced torques make it unsymmetric too, by half their size; so much unsymmetry does not count.
         """
@@ -214,7 +214,7 @@ class Linearization:
 
 
 def negative_mass(inertia: Tensor) -> bool:
-    """Whether an eigenvalue of N' M N is negative, beyond rounding."""
+    """True if an eigenvalue of N' M N is negative, beyond rounding."""
     masses = torch.linalg.eigvalsh(inertia)
     return bool(len(masses)) and float(masses[0]) < -_ZERO_MASS * float(masses[-1])
 
@@ -238,14 +238,15 @@ def factored_inertia(inertia: Tensor) -> Tensor:
 class Vibrations:
     """Small vibrations of one design.
 
-    frequencies   [freedoms] [Hz], ascending, without damping; zero for a freedom without stiffness, nan for an unstable one
+    frequencies   [freedoms] [Hz], ascending, without damping; zero for a degree of freedom without stiffness, nan for an
+                  unstable one
     shapes        [n_v, freedoms], increments of the coordinates of unit modal mass
     poles         [2 freedoms] [1/s], with damping; on demand
     grow          whether a vibration grows: by the stiffness or, in a steady rotation, also by the damping
 
     In a steady rotation the frequencies include Coriolis's forces, the shapes do not. Damping changes no frequency, also where
-    it makes vibrations grow. Where forces turn with a body two freedoms may drive each other (flutter): both frequencies are
-    then nan, and both shapes are the real part of the complex one.
+    it makes vibrations grow. Where forces turn with a body two degrees of freedom may drive each other (flutter): both
+    frequencies are then nan, and both shapes are the real part of the complex one.
     """
 
     frequencies: Tensor
@@ -352,7 +353,8 @@ def unpadded_rates(T: Topology, data: equations.Data, lanes: int) -> list[Tensor
 def null_space(J: Tensor) -> Tensor:
     """Orthonormal basis [n, k] of the null space of a Jacobian [rows, n]; rows scaled to length one.
 
-    Columns without entries are basis vectors themselves: mixed with others, soft freedoms would get the rounding of stiff ones.
+    Columns without entries are basis vectors themselves: mixed with others, soft degrees of freedom would get the rounding of
+    stiff ones.
     """
     n = J.shape[1]
     if not len(J):

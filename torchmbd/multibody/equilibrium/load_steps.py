@@ -212,7 +212,7 @@ def _scaled(rest: Linearization) -> Tensor:
 
 
 def _stiff(rest: Linearization) -> bool:
-    """Whether there are freedoms, and all have stiffness."""
+    """True if there are degrees of freedom, and all have stiffness."""
     if not rest.N.shape[1]:
         return False
     s = torch.linalg.svdvals(_scaled(rest))
@@ -220,7 +220,7 @@ def _stiff(rest: Linearization) -> bool:
 
 
 def _unstable(rest: Linearization) -> bool:
-    """Whether an eigenvalue of the stiffness is negative; where loads have no potential, an odd number of them."""
+    """True if an eigenvalue of the stiffness is negative; where loads have no potential, an odd number of them."""
     K = _scaled(rest)
     if float((K - K.T).abs().max()) > _SYMMETRIC:
         return float(torch.linalg.slogdet(K)[0]) < 0.0

@@ -84,7 +84,7 @@ class _Stop(_Contact):
 class AxialStop(_Stop):
     """Stops of a sliding joint: s = (g_b - g_a) . axis stays between two limits, or above or below one.
 
-    a, b, axis     the frames, and the axis of frame a along which they slide, as of AxialSpringDamper
+    a, b, axis     the frames, and the axis of frame a along which they slide, as in AxialSpringDamper
     arguments      lower, upper: limits [m], at least one of them; stiffness k [N/m^n], damping c [s/m] (0) and exponent n (1)
                    of the penalty force k d^n (1 + c d'), d the penetration, which never pulls; and the name of the element
                    and of its design variables, which all these numbers may be: "stop.upper"
@@ -209,5 +209,5 @@ class PlaneContact(_Contact):
 
 
 def _zero(x: Any) -> bool:
-    """Whether x is the number zero, and no design variable."""
+    """True if x is the number zero, and no design variable."""
     return not isinstance(x, Tensor) and x == 0.0

@@ -9,8 +9,8 @@ Without other forces a mass that hits at speed v leaves at speed w, for any mass
     c v - ln(1 + c v) = -c w - ln(1 - c w)        e = w / v = 1 - 2/3 c v for small c v
 
 Friction is regularized: below u0 bodies creep instead of sticking.
-N has a continuous derivative by d for n > 1; for n = 1 it jumps where bodies touch, and derivatives of a motion are valid
-unless a step ends there exactly.
+N has a continuous derivative with respect to d for n > 1; for n = 1 it jumps where bodies touch, and derivatives of a motion
+are valid unless a step ends there exactly.
 Laws are controls (feedback.py): their numbers may be design variables, and native code calls them back.
 Source: Hunt, Crossley, J. Appl. Mech. 42 (1975) 440-445. Checked in tests/multibody/forces/test_contact.py.
 """
@@ -36,7 +36,7 @@ _STILL = 1e-9  # share of the speed of friction below which sliding has no direc
 
 
 class NormalForce(NamedTuple):
-    """The normal force N, and its derivatives by penetration and rate of penetration."""
+    """The normal force N, and its derivatives with respect to penetration and rate of penetration."""
 
     force: Tensor
     by_depth: Tensor
@@ -108,7 +108,7 @@ class ContactControl(Control):
 
     @abstractmethod
     def slopes(self, p: Mapping[str, Any], x: Tensor) -> Tensor:
-        """Their derivatives by the inputs [outputs, inputs, lanes]."""
+        """Their derivatives with respect to the inputs [outputs, inputs, lanes]."""
 
     @abstractmethod
     def gaps(self, p: Mapping[str, Any], x: Tensor) -> tuple[Tensor, Tensor]:
@@ -127,7 +127,7 @@ class ContactControl(Control):
         return self.strengths(numbers, x), slopes
 
     def _apart(self, numbers: Mapping[str, Any], x: Tensor) -> bool:
-        """Whether nothing touches and no derivative by the numbers is recorded. This test costs a tenth of the law."""
+        """True if nothing touches, and derivatives in the numbers are not recorded. The test costs a tenth of the law."""
         recorded = self.variables is not None and torch.is_grad_enabled()
         return not recorded and bool((self.gaps(numbers, x)[0] > 0.0).all())
 

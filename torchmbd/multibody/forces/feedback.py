@@ -71,7 +71,7 @@ class Control:
 
     @torch.enable_grad()
     def with_jacobian(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
-        """u as of `at`, with its autograd graph, and du/dx [outputs, inputs, lanes]."""
+        """u as in `at`, with its autograd graph, and du/dx [outputs, inputs, lanes]."""
         x = x.detach().clone().requires_grad_()
         u = self.at(p, x, t)
         return u, torch.stack([derivative(y, x) for y in u])
@@ -156,7 +156,7 @@ class Port:
         return torch.zeros_like(s)
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Derivatives by s and s': zero."""
+        """Derivatives with respect to s and s': zero."""
         return torch.zeros_like(s), torch.zeros_like(s)
 
 

@@ -68,7 +68,7 @@ class Spring:
         return -self.stiffness * (s - self.rest) - self.damping * rate
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
-        """Derivatives by s and s'."""
+        """Derivatives with respect to s and s'."""
         zero = torch.zeros_like(s)
         return zero - self.stiffness, zero - self.damping
 
@@ -114,7 +114,7 @@ class Table:
         return total
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
-        """Derivatives by s and s'."""
+        """Derivatives with respect to s and s'."""
         by_s = torch.zeros_like(s)
         for knot, bend in self._bends():
             by_s = by_s + bend * (s > knot).to(s.dtype)
@@ -167,7 +167,7 @@ class Pieces:
         return total
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
-        """Derivatives by s and s'."""
+        """Derivatives with respect to s and s'."""
         by_s = torch.full_like(s, self.inclines[0])
         for i, border in enumerate(self.borders):
             u = torch.clamp((s - border) / (2.0 * self.width) + 0.5, 0.0, 1.0)
@@ -201,7 +201,7 @@ class OfTime:
         return torch.stack([self.law(x) for x in t.flatten()]).reshape(t.shape)
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
-        """Derivatives by s and s'."""
+        """Derivatives with respect to s and s'."""
         return torch.zeros_like(s), torch.zeros_like(s)
 
 
@@ -232,7 +232,7 @@ class Gap:
         return self.sign * self.stiffness * depth * share - self.damping * share * rate
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
-        """Derivatives by s and s'."""
+        """Derivatives with respect to s and s'."""
         depth, share, rising = self._depth(s)
         inside = (depth > 0).to(s.dtype)
         by_s = -self.stiffness * (share * inside + depth * rising) + self.sign * self.damping * rising * rate
@@ -271,7 +271,7 @@ class Friction:
         return -self.force * tanh(rate * reciprocal(self.speed))
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
-        """Derivatives by s and s'."""
+        """Derivatives with respect to s and s'."""
         inverse = reciprocal(self.speed)
         share = tanh(rate * inverse)
         return torch.zeros_like(s), -self.force * inverse * (1.0 - share * share)

@@ -21,7 +21,7 @@ Vector = Sequence[float | Tensor] | Callable[[Tensor], Tensor] | Scaled
 
 
 class _Load(ForceElement):
-    """Three laws of time along the axes of the ground, or of the frame; arguments as of Force."""
+    """Three laws of time along the axes of the ground, or of the frame; arguments as in Force."""
 
     def __init__(self, frame: Frame, vector: Vector, axes: str = "ground", name: str | None = None):
         super().__init__((frame,), name)

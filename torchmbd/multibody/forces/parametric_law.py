@@ -44,7 +44,7 @@ class ParametricLaw:
 
 
 def is_library_law(law: Any) -> bool:
-    """Whether a law is of this library and contains no function of a user."""
+    """True if a law is of this library and contains no function of a user."""
     if isinstance(law, (ParametricLaw, Scaled)):
         return is_library_law(law.law)
     return type(law) in LAWS and not callable(getattr(law, "law", None))

@@ -4,13 +4,13 @@
 
 Q acts on the modal coordinates w alone. It is that of the action Along: the vector b = A (S w), S = e_x (Psi' F)' of the body,
 has the coordinate b . A e_x = F' Psi w along the body's x-axis, whatever the rotation A. So a change of temperature is data of
-compiled code and has derivatives by the design as every force has.
+compiled code and has derivatives with respect to the design as every force has.
 The stress of a ply is that of the strain less its free strain (results/ply_history.py).
 In a body with stiffening the stress of the change, that of K^-1 F less that of the free strain, acts on the displacements of
 second order: a body that is held at both ends vibrates more slowly when it is warm.
 Assumed: moduli, coefficients and mass do not depend on temperature or moisture; the change is constant in each zone, and linear
 through the thickness.
-Source: as of fem/materials/expansion.py; T. J. R. Hughes, The Finite Element Method (1987), initial strains.
+Source: as in fem/materials/expansion.py; T. J. R. Hughes, The Finite Element Method (1987), initial strains.
 Checked in tests/multibody/forces/test_temperature.py.
 """
 
@@ -47,14 +47,14 @@ class ExpansionVector(Attached):
         return *super().key, self.zone, self.change
 
     def modal_rows(self, psi: Tensor) -> Tensor:
-        """Derivative by the modal coordinates [..., 3, modes], out of mode shapes psi [..., nodes, 6, modes]."""
+        """Derivative with respect to the modal coordinates [..., 3, modes], out of mode shapes psi [..., nodes, 6, modes]."""
         F = self.body.expansion.forces(self.zone, self.change)
         work = (psi * F[..., None]).sum((-3, -2))
         none = torch.zeros_like(work)
         return torch.stack([work, none, none], -2)
 
     def quadratic_rows(self, psi: Tensor, psi2: Tensor, nodes: Sequence[int]) -> Tensor:
-        """Second derivative by the modal coordinates [..., 3, modes, modes]; psi2 and nodes have no influence."""
+        """Second derivative in the modal coordinates [..., 3, modes, modes]; psi2 and nodes have no influence."""
         work = self.body.expansion.second_order(self.zone, self.change, psi)
         none = torch.zeros_like(work)
         return torch.stack([work, none, none], -3)

@@ -10,8 +10,7 @@ from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
 class Cylindrical(Joint):
-    """`Cylindrical(a, b, axis="z")`: the point of frame b slides along `axis` of frame a, and b may turn about this axis.
-    Four equations.
+    """`Cylindrical(a, b, axis="z")`: the point of b slides along `axis` of frame a, and b may turn about it. Four equations.
 
     name    of the joint in reactions and messages; None: made of the kind and the bodies
 

@@ -42,7 +42,7 @@ class Attached:
     """A vector attached to a body: a point or an axis, in the axes of the undeformed body.
 
     vector    of design variables, their first values
-    varying   place of a frame whose design variables it follows, as of Frame; None: it is constant
+    varying   place of a frame whose design variables it follows, as in Frame; None: it is constant
     axis      letter of the axis of this frame; of a point, none
     matrix    from axes of the body of this frame to those of `body`; None: they are the same body
     """
@@ -57,7 +57,7 @@ class Attached:
 
     @property
     def varies(self) -> bool:
-        """Whether it depends on the design."""
+        """True if it depends on the design."""
         on_nodes = self.is_point and self.interpolation is not None and varying_nodes(self.body.mesh)
         return on_nodes or self.varying is not None
 

@@ -1,12 +1,12 @@
 """Lock: the frames of a joint keep the relative pose that they have when a phase begins.
 
-The joint stays active; the lock adds one equation for each freedom that the joint leaves, of these six:
+The joint stays active; the lock adds one equation for each degree of freedom that the joint leaves, of these six:
 
     plane          the point of b stays in the plane through a marked point on a with the normal e_k, k = x, y, z
     perpendicular  axis e_i of a stays perpendicular to a marked axis on b, (i, j, k) cyclic: no rotation about e_k
 
-The freedoms follow from the equations of the joint at the given initial positions. The marks depend on the design: a point on a
-and three axes on b are attached vectors like those of every joint, but their components are set at the switch
+The degrees of freedom follow from the equations of the joint at the given initial positions. The marks depend on the design:
+a point on a and three axes on b are attached vectors like those of every joint, but their components are set at the switch
 (integrate/phases/switch.py), with their design tangents. Locks are made by the phases of a simulation, never by users.
 Checked in tests/multibody/joints/test_lock.py, tests/integrate/phases/test_phase.py.
 """
@@ -82,7 +82,7 @@ class Lock(Joint):
 
 
 def freedoms(joint: Joint) -> list[int]:
-    """Freedoms that a joint leaves body b: translations 0, 1, 2 along the axes of frame a and rotations 3, 4, 5 about them.
+    """Degrees of freedom that a joint leaves body b, in the axes of frame a: translations 0, 1, 2, rotations 3, 4, 5.
 
     If it leaves only combinations of these, those with the largest entries in the null space of its Jacobian.
     """

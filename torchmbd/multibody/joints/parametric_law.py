@@ -4,7 +4,7 @@
     jets        x, x', x'' [1 + n_b, lanes] at one time
 
 Parameters of any shape; `data["law NAME"]` holds those of the law of joint NAME, flat [k, pair, lanes]. Without data the
-Parameters have their present values. Derivatives by time and by parameters are those of forward mode.
+Parameters have their present values. Derivatives with respect to time and parameters are those of forward mode.
 Checked in tests/sensitivity/test_law_variables.py: against central differences, on both routes.
 """
 

@@ -104,7 +104,7 @@ class Primitive:
 
     @property
     def varies(self) -> bool:
-        """Whether a law has design variables."""
+        """True if a law has design variables."""
         return any(hasattr(law, "numbers") for law in self.data)
 
     def prescribed(self, times: Tensor, data: Mapping[str, Any] | None = None) -> tuple:

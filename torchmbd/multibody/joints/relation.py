@@ -2,7 +2,7 @@
 
     c_1 x_1 + c_2 x_2 (+ c_3 x_3) = d
 
-    x    angle [rad] as of `Angle`, or travel [m] as of `Travel`, from the given initial positions
+    x    angle [rad] as in `Angle`, or travel [m] as in `Travel`, from the given initial positions
     c    factors, d their sum: numbers, or design variables
 
 Angles count full turns: x is the angle within half a turn of that of the rigid bodies, which is a coordinate of the motion

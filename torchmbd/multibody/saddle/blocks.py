@@ -43,7 +43,8 @@ class Slopes(NamedTuple):
     stiffness, damping  factors of Kr and D; `damping` also multiplies the gyroscopic matrix of the rates `v`, `stiffness` that
                         of the inertia forces of the rates and accelerations `a`, and the geometric stiffness of the
                         multipliers `lam`, if they are given [n, 1, lanes]
-    turn                rotations [3, bodies, 1, lanes] of an increment: Phi_q is then the derivative by the increment
+    turn                rotations [3, bodies, 1, lanes] of an increment: Phi_q is then the derivative with respect to the
+                        increment
     """
 
     stiffness: Any = 0.0
@@ -231,7 +232,7 @@ class SaddleBlocks:
     def _add_second_order(
         self, blocks: dict[str, Tensor], data: Data, at: Placement, V: Tensor, slopes: Slopes
     ) -> None:
-        """Add the mass of V, and the derivatives by w' and w of the terms with F1, axial F2 and V (equations.py)."""
+        """Add the mass of V, and d/dw' and d/dw of the terms with F1, axial F2 and V (equations.py)."""
         stiffness, damping, v, a, *_ = slopes
         T, f, V0, V1, root = self.T, self.T.flexible, data["V0"], data["V1"], data["L"][0, 0]
         modal = -(V0[:, :, None] * V0[:, None]).sum(0)

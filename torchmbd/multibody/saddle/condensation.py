@@ -1,7 +1,7 @@
 """Condensation: joints between a rigid body and the ground are solved once, before the motion, and not in every step.
 
-    prescribed   the joints to the ground leave the body no freedom but that of its drive: its motion is known, and it becomes
-                 a prescribed body like the ground
+    prescribed   the joints to the ground leave the body no degree of freedom but that of its drive: its motion is known, and
+                 it becomes a prescribed body like the ground
     guided       the joints to the ground leave it a constant subspace N of rates, v = N u (a slider on a prismatic joint, a
                  wheel that turns about its origin): their rows are removed, and the independent rates u replace v
     held         a lock holds it where it is, by the design: as guided, without any rates
@@ -293,7 +293,7 @@ def _null(J: Tensor) -> Tensor:
 
 
 def _constant(poses: _Poses, q: Tensor, joints: _GroundJoints, free: Tensor) -> bool:
-    """Whether the joints stay closed at poses far along the subspace free [6, k]."""
+    """True if the joints stay closed at poses far along the subspace free [6, k]."""
     for k, size in enumerate(_FAR):
         step = q.new_zeros(poses.T.n_v)
         step[poses.columns(joints.body)] = free @ (size * torch.cos(torch.arange(free.shape[1], dtype=q.dtype) + k))
@@ -322,7 +322,7 @@ def _prescribed_body(poses: _Poses, q: Tensor, joints: _GroundJoints, free: Tens
 
 
 def _closed_at(poses: _Poses, q: Tensor, joints: _GroundJoints, prescribed_body: PrescribedBody, angle: float) -> bool:
-    """Whether the joints are closed where the body has turned by an angle from q."""
+    """True if the joints are closed where the body has turned by an angle from q."""
     turned = q.clone()
     p, r = prescribed_body.turned(q.new_tensor([angle]))
     turned[poses.T.p_slice(joints.body)], turned[poses.T.r_slice(joints.body)] = p[0], r[0]

@@ -22,7 +22,7 @@ _LARGE, _MANY = 90, 4  # least numbers of unknowns and bodies with which it was 
 
 
 def pays(T: Topology) -> bool:
-    """Whether elimination is possible and faster than a dense inverse."""
+    """True if elimination is possible and faster than a dense inverse."""
     return not T.actions and T.beams is None and T.bodies >= _MANY and T.n_v + T.rows >= _LARGE
 
 

@@ -45,7 +45,7 @@ class Expansion:
     def rows(self, order: int, x: Tensor, index: Sequence[int] | None = None, values: bool = True) -> Tensor:
         """Rows of q (order 0), v (1) or a (2) [times, k, pair, lanes] of the whole system, from x of the condensed one.
 
-        index    rows of the whole system, from its end if negative, as of a tensor; None: all
+        index    rows of the whole system, from its end if negative, as for a tensor; None: all
         values   whether the first entry of the pair axis is a value, and the others tangents; False: all are tangents
         """
         c, components = self.condensation, 6 if order else 7

@@ -125,9 +125,9 @@ class Factors:
         self._cache: list[tuple[Tensor, Any]] = []
 
     def solve(self, rhs: Tensor, inputs: Sequence[Tensor] = ()) -> Tensor:
-        """K^-1 rhs [n, pair, lanes], differentiable by rhs.
+        """K^-1 rhs [n, pair, lanes], differentiable with respect to rhs.
 
-        inputs    tensors with derivatives that K or rhs depends on: second derivatives by these are refused
+        inputs    tensors with derivatives that K or rhs depends on: second derivatives with respect to these are refused
         """
         if not inputs:
             return self.of(self.K).solve(rhs)

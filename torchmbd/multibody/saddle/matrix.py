@@ -69,7 +69,7 @@ class Saddle:
         return _flat(self.blocks(data, at, slopes), self.names, lanes)
 
     def factors(self, data: Data, at: Placement, diagonal: Diagonal | None) -> Factors:
-        """Factors of the matrix of the accelerations; diagonal as of `Dynamics.diagonal`."""
+        """Factors of the matrix of the accelerations; diagonal as in `Dynamics.diagonal`."""
         if self.columns is None:
             return Factors(self.matrix(data, at), diagonal, None)
         return Factors(self._entries(data, at)[self.columns.entry].T, diagonal, self.columns)

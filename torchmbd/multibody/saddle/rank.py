@@ -7,10 +7,10 @@ least norm is taken). A drive that depends on the rows without a law would move 
 Rows that are dependent where a flexible body is undeformed may contradict each other where it is deformed: an edge that twists
 by u gets longer by u^2 / 2L, as elastic displacements are linear, but two hinge points on it fix its length. Such a row is left
 out of the motion, and its multiplier is zero. An exception are rows that are independent at a position displaced along a
-freedom of the undeformed mechanism: the start is then a singular position, and the row is regularized as for rigid bodies.
-Dependent rows may also differ by a small elastic displacement, as bending of an unsymmetric laminate stretches it a little.
-They are a *weak* constraint: the stretching that they allow is not among the modes of vibration, so that it takes far too much
-bending. A warning names the rows; with reduction="craig-bampton" the joints' nodes have modes that stretch.
+degree of freedom of the undeformed mechanism: the start is then a singular position, and the row is regularized as for rigid
+bodies. Dependent rows may also differ by a small elastic displacement, as bending of an unsymmetric laminate stretches it a
+little. They are a *weak* constraint: the stretching that they allow is not among the modes of vibration, so that it takes far
+too much bending. A warning names the rows; with reduction="craig-bampton" the joints' nodes have modes that stretch.
 Near a singular position the last nonzero singular value goes to zero; its left vector is the combination of rows that becomes
 dependent.
 Checked in tests/multibody/saddle/test_rank.py.
@@ -62,7 +62,7 @@ class Rank:
 
 
 def rank_of(T: Topology, J: np.ndarray) -> Rank:
-    """Rank of a Jacobian [rows, n_v]; rows without a law count first. Raises InputError for a drive that has no freedom."""
+    """Rank of a Jacobian [rows, n_v]; rows without a law count first. Raises InputError for a drive that cannot move."""
     driven = _driven(T)
     others = np.setdiff1d(np.arange(T.rows), driven)
     J = _unit(J)
@@ -129,9 +129,9 @@ def confirm_left_out(dynamics: Any, q: Tensor, rank: Rank) -> Rank:
 
 
 def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
-    """An assembled position [n_q], displaced from q along a freedom that the rows without a law leave undeformed bodies.
+    """An assembled position [n_q], displaced from q by a motion that the rows without a law leave undeformed bodies.
 
-    None if there is no such freedom, or Newton's method does not close the joints.
+    None if there is no such degree of freedom, or Newton's method does not close the joints.
     """
     T, zero = dynamics.topology, q.new_zeros(1)
     rows = np.setdiff1d(np.arange(T.rows), _driven(T))
@@ -157,12 +157,12 @@ def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
 
 
 def full_rank_undeformed(T: Topology, J: np.ndarray) -> bool:
-    """Whether all rows of a Jacobian [rows, n_v] are independent even for undeformed bodies, and so for all designs."""
+    """True if all rows of a Jacobian [rows, n_v] are independent even for undeformed bodies, and so for all designs."""
     return rank_of_columns(J[:, _rigid(T)]) == T.rows
 
 
 def rank_of_columns(J: np.ndarray) -> int:
-    """Rank of some columns of a Jacobian [rows, n]: a drive may need the freedoms of the other columns."""
+    """Rank of some columns of a Jacobian [rows, n]: a drive may need the degrees of freedom of the other columns."""
     return _dependent(_unit(J))[0]
 
 

@@ -166,7 +166,7 @@ class InitialConditions:
         return self._last[0][1]
 
     def _needs_modes(self, undeformed: Any, q: Tensor, v: Tensor) -> bool:
-        """Whether rigid rates leave constraint rates open at q [n_q, 1, 1] and given v [n_v, 1, 1]."""
+        """True if rigid rates leave constraint rates open at q [n_q, 1, 1] and given v [n_v, 1, 1]."""
         if not self.topology.flexible:
             return False
         joints = _Joints.of(undeformed, q, q.new_zeros(()), [self.rigid_mask])

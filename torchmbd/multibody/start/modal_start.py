@@ -7,7 +7,7 @@ Derivatives hold for a basis that moves with the span of the modes (fem/reductio
 
     Psi_b = Psi R,     R = 1,  dR_ji = dKr_ji / (lambda_i - lambda_j)     at the design at hand (fem/reduction/eigenpairs.py)
 
-so the coordinates in this basis are R w: equal numbers, whose derivative by the design is dR w.
+so the coordinates in this basis are R w: equal numbers, whose derivative with respect to the design is dR w.
 The last state of a motion has coordinates R_0 w in the basis of its own designs: it starts another one as R R_0' R_0 w.
 Where modes of one frequency turn in themselves there is no dR: InputError, unless their coordinates are zero.
 Checked in tests/sensitivity/test_modal_start.py.
@@ -33,7 +33,7 @@ from torchmbd.multibody.start.initial import START_DATA
 def in_moving_basis(
     T: Topology, stiffness: Mapping[str, Tensor], before: Tensor | None, start: Mapping[str, Tensor]
 ) -> dict[str, Tensor]:
-    """Initial coordinates and rates whose modal ones have their derivatives by the design.
+    """Initial coordinates and rates whose modal ones have their derivatives with respect to the design.
 
     stiffness   Kr [..., m, m] of the flexible bodies, by name in the order of the topology
     before      Kr [modes, modes, bodies, 1, lanes] of the designs of the motion whose last state this is; None: of none

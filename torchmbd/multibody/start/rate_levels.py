@@ -70,7 +70,7 @@ class RateLevel:
 
     @property
     def complete(self) -> bool:
-        """Whether no constraint rate is left to the levels after it, in any lane."""
+        """True if no constraint rate is left to the levels after it, in any lane."""
         return bool((untransformed(self.rank) == self.A.shape[1]).all())
 
     def changes(self, s: Tensor, forces: Callable[[Tensor], Any]) -> Any:

@@ -6,8 +6,8 @@
     a state         the last one of another motion
 
 Joints are then closed by the smallest rigid displacement, and rates made compatible; modal coordinates do not change.
-Differentiable by the design and by the tensors of a mapping or a state; modal coordinates are those of the modes of each
-design (modal_start.py).
+Differentiable with respect to the design and the tensors of a mapping or a state; modal coordinates are those of the modes
+of each design (modal_start.py).
 Checked in tests/integrate/test_equilibrium.py, tests/sensitivity/test_rest.py.
 """
 
@@ -112,7 +112,7 @@ class Start:
 
     @property
     def is_differentiated(self) -> bool:
-        """Whether one of these tensors requires a gradient."""
+        """True if one of these tensors requires a gradient."""
         return any(map(is_differentiated, self.tensors))
 
     @property

@@ -1,4 +1,4 @@
-"""A flexible body on supports: its unsupported freedoms, and its stiffness, geometric stiffness and mass on these.
+"""A flexible body on supports: its unsupported degrees of freedom, and its stiffness, geometric stiffness and mass on these.
 
 Checked in tests/extensions/buckling/test_buckling.py, tests/multibody/statics/test_vibrations.py.
 """
@@ -24,14 +24,14 @@ Supports = Mapping[Any, str | Sequence[float | None]]
 
 
 class SupportedBody:
-    """A body of elements on supports, arguments as of `buckling`.
+    """A body of elements on supports, arguments as in `buckling`.
 
     vibrating  False: for buckling, which needs parts whose stress is known. True: for frequencies; supports may be {}, a free
                body, and impose no displacements
     assembly   of the body without its reference
-    kept       indices of the unsupported ones among the free freedoms of the assembly [N]
+    kept       indices of the unsupported ones among the free degrees of freedom of the assembly [N]
     pattern    of matrices on these
-    imposed    imposed displacements of supports, zero elsewhere, on all free freedoms [F, 1] [m, rad]
+    imposed    imposed displacements of supports, zero elsewhere, on all free degrees of freedom [F, 1] [m, rad]
     Raises InputError where the arguments are wrong.
     """
 
@@ -82,7 +82,7 @@ class SupportedBody:
             self.assembly.stiffness()  # caches index tables now, as torch.func would not allow
 
     def restricted(self, K: SparseMatrix) -> SparseMatrix:
-        """The part of a matrix on the unsupported freedoms."""
+        """The part of a matrix on the unsupported degrees of freedom."""
         return SparseMatrix(self.pattern, K.values[..., self._positions], symmetric=True)
 
     def geometric(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes k nnz"]:
@@ -92,7 +92,7 @@ class SupportedBody:
     def motion(
         self, u: Float[Tensor, "*lanes N k"], imposed: Float[Tensor, "F 1"] | None = None
     ) -> Float[Tensor, "*lanes n 6 k"]:
-        """Displacements of all nodes, out of u of the unsupported freedoms; imposed: of supports, None: zero."""
+        """Displacements of all nodes, out of u of the unsupported degrees of freedom; imposed: of supports, None: zero."""
         of_supports = torch.zeros_like(self.imposed) if imposed is None else imposed
         full = of_supports.expand(*u.shape[:-2], len(of_supports), u.shape[-1]).index_copy(-2, self.kept, u)
         return self.assembly.freedoms.expand(full)
@@ -110,7 +110,7 @@ class SupportedBody:
 
 
 def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, float]:
-    """Imposed displacements of the supported freedoms 6 * node + i; none of a free body, where it is allowed."""
+    """Imposed displacements of the supported degrees of freedom 6 * node + i; none of a free body, where it is allowed."""
     if not isinstance(supports, Mapping) or not (supports or free_body):
         allowed = "nodes -> freedoms, {} for a free body" if free_body else "nodes -> freedoms, at least one"
         raise InputError((body.name, "supports"), supports, f"{allowed}, or None", noun=f"supports of {body.name!r}")

@@ -2,7 +2,7 @@
 
     K shape = (2 pi frequency)^2 M shape
 
-K, M   stiffness and mass on the freedoms without supports; the body is unstressed and undamped
+K, M   stiffness and mass on the degrees of freedom without supports; the body is unstressed and undamped
 
 A free body has six rigid motions of frequency zero, which are left out: it starts with its first vibration.
 Frequencies are differentiable, forward and reverse, in every parameter of the body. Where some coincide each has the mean of
@@ -53,11 +53,12 @@ class Vibrations(NamedTuple):
 
 
 def frequencies(body: FlexibleBody, supports: Supports | None = None, number: int = 1) -> Vibrations:
-    """Find the lowest natural frequencies of a body on supports; differentiable by its parameters.
+    """Find the lowest natural frequencies of a body on supports; differentiable with respect to its parameters.
 
     body      a FlexibleBody of elements
-    supports  nodes -> supported freedoms, as "u1 u3 phi2", or "all"; or six numbers, 0 for a supported freedom, None for a free
-              one. Nodes: a node, a set, or a tuple of these. None: the reference nodes of the body are clamped; {}: it is free
+    supports  nodes -> supported degrees of freedom, as "u1 u3 phi2", or "all"; or six numbers, 0 for a supported degree of
+              freedom, None for a free one. Nodes: a node, a set, or a tuple of these. None: the reference nodes of the body
+              are clamped; {}: it is free
     number    of frequencies
     Raises InputError where arguments are wrong or the supports leave the body movable.
 
@@ -75,7 +76,7 @@ def frequencies(body: FlexibleBody, supports: Supports | None = None, number: in
 class VibrationCase:
     """A body on supports, ready to find its frequencies in any design: `case(number)`.
 
-    body, supports as of `frequencies`. Raises InputError where these are wrong.
+    body, supports as in `frequencies`. Raises InputError where these are wrong.
     """
 
     def __init__(self, body: FlexibleBody, supports: Supports | None = None) -> None:
@@ -110,7 +111,7 @@ class VibrationCase:
         return Vibrations(squares.sqrt() / (2.0 * math.pi), supported.shapes(vectors), status)
 
     def _matrices(self) -> tuple[SparseMatrix, Matrix]:
-        """Stiffness and mass of the freedoms without supports."""
+        """Stiffness and mass of the degrees of freedom without supports."""
         K, M = matrices(self.supported.assembly)
         if isinstance(M, Tensor):
             return self.supported.restricted(K), M[..., self.supported.kept]

@@ -1,4 +1,4 @@
-"""Description of a system: `system.describe()` prints bodies, joints, rank, freedoms, mass and first frequencies.
+"""Description of a system: `system.describe()` prints bodies, joints, rank, degrees of freedom, mass and first frequencies.
 
     freedoms = 6 bodies + modes - rank of Phi_q          mobility = 6 bodies - rank of Phi_q by the rigid coordinates
 

@@ -94,7 +94,7 @@ def with_copies(tensors: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
 
 
 def unchanged(before: list[tuple[Tensor, Tensor]], now: list[Tensor]) -> bool:
-    """Whether tensors are those of before, with the same numbers."""
+    """True if tensors are those of before, with the same numbers."""
     if len(before) != len(now) or any(x is not y for (x, _), y in zip(before, now, strict=True)):
         return False
     return all(in_transform(x) or torch.equal(x, then) for x, then in before)

@@ -185,7 +185,7 @@ class System(nn.Module):
         self.segments_of_phases: list[tuple[tuple, Any]] = []  # kept by integrate/phases/segment.py
 
     def _constants_of_start(self) -> list[Tensor]:
-        """Positions, axes, rates and modal coordinates of the bodies that are no design variables."""
+        """Positions, axes, rates and modal coordinates of the bodies that are not design variables."""
         return [body._buffers[name] for body in self.bodies for name in _START if name in body._buffers]
 
     @exclusive
@@ -221,7 +221,7 @@ class System(nn.Module):
 
     @exclusive
     def describe(self) -> Description:
-        """Bodies, joints, rank, freedoms, mass and first frequencies: print it, or use its numbers.
+        """Bodies, joints, rank, degrees of freedom, mass and first frequencies: print it, or use its numbers.
 
         >>> print(mbd.examples.pendulum().describe())
         body  kind   mass [kg]  modes
@@ -321,7 +321,7 @@ class System(nn.Module):
         """Structure stage of a batch of designs.
 
         parameters  name -> values [lanes, ...]; others keep their present values
-        tangents    names among them: the data carry derivatives by all entries of these, flattened in this order
+        tangents    names among them: the data carry derivatives with respect to all entries of these, flattened in this order
         """
         self._check()
         module_parameters = dict(self.named_parameters())

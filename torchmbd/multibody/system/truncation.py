@@ -176,7 +176,7 @@ def _of_changes(system: Any, dynamics: Any, stages: dict[str, Tensor], i: int) -
 
 
 def _unit_loads(x: Tensor, mounts: Sequence[InterpolationConstraint], expand: Any, size: int) -> Tensor:
-    """Loads on the free freedoms [size, 6 mounts] of unit forces and moments at the mounts: the transpose of their motion."""
+    """Nodal loads [size, 6 mounts] of unit forces and moments at the mounts: the transpose of their motion."""
     with torch.enable_grad():
         u = torch.zeros(size, 1, dtype=x.dtype, requires_grad=True)
         psi = expand(u)

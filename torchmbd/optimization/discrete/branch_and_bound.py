@@ -2,7 +2,7 @@
 
 1. Relaxation: local searches from all starts with continuous variables; their distinct minima are the roots.
 2. Branches: the variable farthest from its values gets two boxes, up to the value below and from the value above. Each box
-   is searched again with gradients, from where its parent ended; a box whose minimum is no better than the best design on
+   is searched again with gradients, from where its parent ended; a box whose minimum is not better than the best design on
    the values is dropped with all that lies in it. The boxes of a wave run in common batches: their simulations are one batch.
 3. Confirmation: every minimum found is rounded and evaluated in full. Only evaluated designs are results.
 4. Certificate: all neighbors of the best design within two increments are evaluated; from a better one it goes on.
@@ -175,7 +175,7 @@ class Branching:
         return rank(candidate.value, candidate.violation, self.feasibility)
 
     def better(self, a: Candidate, b: Candidate) -> bool:
-        """Whether a is better than b by more than rounding."""
+        """True if a is better than b by more than rounding."""
         (a_infeasible, a_value), (b_infeasible, b_value) = self.rank(a), self.rank(b)
         return a_infeasible < b_infeasible or (
             a_infeasible == b_infeasible and a_value < b_value - WORTH * abs(b_value)

@@ -160,7 +160,7 @@ def _numbers(name: str, entry: Any) -> np.ndarray:
 
 
 def _single(value: Any) -> bool:
-    """Whether this is one number, a tensor of one, such as mbd.deg(5), included."""
+    """True if this is one number, a tensor of one, such as mbd.deg(5), included."""
     return np.isscalar(value) or getattr(value, "ndim", None) == 0
 
 

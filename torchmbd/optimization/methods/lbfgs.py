@@ -121,7 +121,7 @@ class _Lagrangian:
         return violation <= 0.5 * self.wrapped.search.feasibility and change <= 1e-3
 
     def diverges(self, y: np.ndarray) -> bool:
-        """Whether f falls faster than the penalty grows."""
+        """True if f falls faster than the penalty grows."""
         far = FAR * max(1.0, self.violation)
         return bool(np.abs(self._violated(self.wrapped.value(y).constraints)).max(initial=0.0) > far)
 

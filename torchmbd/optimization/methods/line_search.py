@@ -106,13 +106,13 @@ class LineSearch:
         return trial
 
     def near_feasible(self, trial: Trial) -> bool:
-        """Whether no violation exceeds the thickness of its constraint, or the violation that the direction should leave."""
+        """True if no violation exceeds the thickness of its constraint, or the violation that the direction should leave."""
         before = np.maximum(self.base.constraints, 0.0)
         allowed = np.maximum(self.thickness, (1.0 - 0.5 * self.direction.beta * min(trial.alpha, 1.0)) * before)
         return not np.any(trial.evaluation.constraints > allowed)
 
     def acceptable(self, trial: Trial) -> bool:
-        """Whether phi has fallen enough; from a feasible design, only if the trial is feasible."""
+        """True if phi has fallen enough; from a feasible design, only if the trial is feasible."""
         if self.feasible and not self.near_feasible(trial):
             return False
         restored = self.worst(trial.evaluation) < 0.5 * self.worst0

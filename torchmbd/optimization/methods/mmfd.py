@@ -203,7 +203,7 @@ class FeasibleDirections:
         return Ending(self.y, "stalled", f"the objective no longer changes, though {NO_KUHN_TUCKER}: a kink?")
 
     def escape_saddle(self) -> bool:
-        """Step along negative curvature if the current Kuhn-Tucker point is no minimum; return whether a step was made."""
+        """Step along negative curvature if the current Kuhn-Tucker point is not a minimum; return whether a step was made."""
         if not self.settings.second_order:
             return False
         estimate, search = self.multiplier_estimate(), self.search

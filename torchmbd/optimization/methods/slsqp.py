@@ -81,7 +81,7 @@ def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
 
 
 def _violation_rests(search: Search) -> bool:
-    """Whether no design of a search has been feasible, and the last PATIENCE ones have hardly lowered the violation.
+    """True if no design of a search has been feasible, and the last PATIENCE ones have hardly lowered the violation.
 
     The start does not count: the first step meets the linearized constraints, and may raise the violation before it falls.
     """

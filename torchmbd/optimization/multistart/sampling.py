@@ -108,7 +108,7 @@ def _latin(seed: int, size: int, number: int) -> np.ndarray:
 def _spread(unit: Callable[[int, int], np.ndarray], count: int, include_initial: bool, problem: Box) -> np.ndarray:
     """Points [count, n] of the unit cube [size, number], over the bounds of the problem.
 
-    The extra variable of a min-max problem, which is no design variable, begins as that of the start.
+    The extra variable of a min-max problem, which is not a design variable, begins as that of the start.
     """
     lower, upper = np.array(problem.lower, dtype=float), np.array(problem.upper, dtype=float)
     if getattr(problem, "has_extra_variable", False):

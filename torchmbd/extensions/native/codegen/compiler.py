@@ -47,7 +47,7 @@ def options() -> list[str]:
 
 
 def compilation_wanted() -> bool:
-    """Whether TORCHMBD_COMPILE does not switch compilation off."""
+    """True if TORCHMBD_COMPILE does not switch compilation off."""
     return os.environ.get("TORCHMBD_COMPILE") != "0"
 
 

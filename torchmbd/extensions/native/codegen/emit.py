@@ -120,7 +120,7 @@ class Emitter:
 
 
 def is_fully_written(program: Program, buffer: Buffer) -> bool:
-    """Whether every entry of a buffer is written, and to none numbers are added by several writes."""
+    """True if every entry of a buffer is written, and to none numbers are added by several writes."""
     entries: AnySize = 0
     for write in buffer.writes:
         entries = entries + product(v.size for v in loop_variables(write.index))
@@ -130,7 +130,7 @@ def is_fully_written(program: Program, buffer: Buffer) -> bool:
 
 
 def is_single_write(program: Program, write: Write) -> bool:
-    """Whether a sum has all its terms in one write, within one iteration of the outermost loop."""
+    """True if a sum has all its terms in one write, within one iteration of the outermost loop."""
     if program.buffers[write.buffer].kind == "output":
         return not write.adds
     same = [w for w in program.buffers[write.buffer].writes if w.index == write.index]
@@ -142,7 +142,7 @@ def is_single_write(program: Program, write: Write) -> bool:
 
 
 def _overlap(program: Program, write: Write) -> bool:
-    """Whether other writes to the buffer may write to the same entry: unless their indices differ by constants."""
+    """True if other writes to the buffer may write to the same entry: unless their indices differ by constants."""
     writes = program.buffers[write.buffer].writes
     return any(w.index.terms != write.index.terms or not isinstance(w.index.offset, int) for w in writes)
 

@@ -50,7 +50,7 @@ def _each(op: str, *xs: Any) -> Any:
 
 
 def _is_constant_along(x: Any, pieces: Pieces) -> bool:
-    """Whether x is constant along the axis of the pieces."""
+    """True if x is constant along the axis of the pieces."""
     if isinstance(x, (int, float)):
         return True
     if isinstance(x, Pieces):

@@ -230,7 +230,7 @@ class Dependence:
         self._of_number: dict[int, bool] = {}
 
     def __call__(self, number: int) -> bool:
-        """Whether a number depends on the buffers."""
+        """True if a number depends on the buffers."""
         program, known = self.program, self._of_number
         for x in program.reachable([number], known):
             if program.op[x] == "load":

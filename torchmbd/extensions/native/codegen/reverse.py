@@ -23,7 +23,7 @@ Loops = frozenset[Variable]
 
 
 class Pullback:
-    """Derivatives by the buffers `by`: name -> name of an output to which they are added."""
+    """Derivatives with respect to the buffers `by`: name -> name of an output to which they are added."""
 
     def __init__(self, program: Program, by: Mapping[str, str]):
         self.program, self.by = program, dict(by)

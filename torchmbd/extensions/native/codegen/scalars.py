@@ -74,7 +74,7 @@ class Tape:
         return np.array([self._node("input", array, i) for i in places], dtype=np.int64).reshape(shape)
 
     def is_constant(self, a: int) -> bool:
-        """Whether a number does not depend on inputs."""
+        """True if a number does not depend on inputs."""
         return self.op[a] == "constant"
 
     def call(self, op: str, *args: int) -> int:

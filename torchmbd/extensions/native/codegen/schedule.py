@@ -126,13 +126,13 @@ class Schedule:
         return result
 
     def _is_local(self, name: str, variable: Variable | None, write: Write) -> bool:
-        """Whether a write loads from a buffer only numbers that the same iteration of its loop has written."""
+        """True if a write loads from a buffer only numbers that the same iteration of its loop has written."""
         indices = [w.index for w in self.program.buffers[name].writes]
         indices += [self.program.args[x][1] for x in self.loads(write.number) if self.program.args[x][0] == name]
         return variable is not None and all(self.is_of_iteration(name, variable, index) for index in indices)
 
     def is_of_iteration(self, name: str, variable: Variable, index: Index) -> bool:
-        """Whether an index of a buffer [variable, rest] belongs to the current iteration of a loop."""
+        """True if an index of a buffer [variable, rest] belongs to the current iteration of a loop."""
         size = self.program.buffers[name].size
         strides = [s for s, atom in index.terms if atom == variable]
         others = [a for _, a in index.terms if a != variable]
@@ -163,5 +163,5 @@ class Schedule:
 
 
 def depends(index: Index, variable: Variable) -> bool:
-    """Whether an index depends on a variable."""
+    """True if an index depends on a variable."""
     return variable in loop_variables(index)

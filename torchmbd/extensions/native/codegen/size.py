@@ -80,7 +80,7 @@ class Size:
         return self._hash
 
     def __lt__(self, other: Size | int) -> bool:
-        """Whether code for all sizes must assume that self may be less: true for any two sizes that differ."""
+        """True if code for all sizes must assume that self may be less: true for any two sizes that differ."""
         return self != other
 
     def __repr__(self) -> str:

@@ -112,7 +112,7 @@ class CriticalSpeed(OfVibrations):
     order     the multiple: 1 for unbalance, which turns with the shaft
     between   (lowest, highest) speed that is searched [rad/s], positive
     points    number of equally spaced speeds of the grid; the search misses two crossings of one frequency between neighbors
-    axis, center   of the rotation, as of OfVibrations
+    axis, center   of the rotation, as in OfVibrations
     observer  in whose axes rigid bodies and flexible beams are computed: "ground", or "turning" with the machine. The speed
               is one of a fixed observer in both. Bodies with modes are computed in axes that turn with them. In these
               axes the bearings must be isotropic
@@ -236,7 +236,7 @@ class StabilityLimit(OfVibrations):
     parameter   name of a parameter of the system of one number, such as "push.x"; "speed": of rotation [rad/s]
     between     (lowest, highest) value that is searched
     points      values of the grid, equally spaced
-    axis, center, observer   of the rotation, as of OfVibrations
+    axis, center, observer   of the rotation, as in OfVibrations
 
     Vibrations need damping: without it poles are on the imaginary axis until two meet, which has no derivative. Raises
     InputError where no vibration begins to grow.

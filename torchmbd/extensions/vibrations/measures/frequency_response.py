@@ -57,10 +57,10 @@ class FrequencyResponse(OfVibrations):
     direction   of the position: "x", "y", "z" of the ground; None: output is a joint. Across the axis of a rotation it needs
                 observer="ground", because an observer who turns sees it turn
     place       of the point: a node of a flexible body, or (x, y, z) on a rigid one [m]; None: its origin
-    input_direction, input_place   of the force, as of the position
+    input_direction, input_place   of the force, as in the position
     quantity    "displacement", or its rates "velocity", "acceleration"
     speed       of rotation [rad/s]
-    axis, center, observer   of the rotation, as of OfVibrations
+    axis, center, observer   of the rotation, as in OfVibrations
 
     The measure locates the peak exactly, not on a grid. Its derivative is the derivative of the magnitude at the frequency of
     the peak. If two peaks are equal, it is the derivative at one of them.

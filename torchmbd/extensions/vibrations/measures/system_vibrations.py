@@ -38,7 +38,7 @@ class OfVibrations(Measure):
     """A measure of vibrations about a state at rest, or in steady rotation of the whole about an axis of the ground.
 
     axis, center   of the rotation: "x", "y", "z" or a vector, and a point [m]
-    observer       "turning" with the machine, or in the "ground", as of mbd.equilibrium
+    observer       "turning" with the machine, or in the "ground", as in mbd.equilibrium
     """
 
     drawing: ClassVar[str] = "vibrations"
@@ -93,11 +93,11 @@ class SystemFrequency(OfVibrations):
 
     number   1 is the lowest
     cluster  numbers instead, as (2, 3): the power mean of these, which is smooth where they cross or coincide
-    power    of that mean, as of Frequencies
+    power    of that mean, as in Frequencies
     speed    of rotation [rad/s]
     follow   the number is that in the system as it was built; in each design it is the vibration with this shape, also where
              another has crossed it. A design in which none is surely like it fails (followed_vibrations.py)
-    axis, center, observer   of the rotation, as of OfVibrations
+    axis, center, observer   of the rotation, as in OfVibrations
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.01, steps=2)
     >>> round(mbd.SystemFrequency(1)(motion).item(), 4)  # sqrt(9.81 / 2) / (2 pi)
@@ -145,8 +145,9 @@ class DampingRatio(OfVibrations):
 
     number   of the pole, among poles whose imaginary part is at least 1 % of |s|; 1 has the smallest imaginary part
     speed    of rotation [rad/s]
-    follow   as of SystemFrequency. Without it, two poles with nearly the same imaginary part are told apart by its order alone
-    axis, center, observer   of the rotation, as of OfVibrations
+    follow   as in SystemFrequency. Without it, two poles with nearly the same imaginary part are told apart by its order
+             alone
+    axis, center, observer   of the rotation, as in OfVibrations
 
     >>> body = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
     >>> rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y")
@@ -197,7 +198,7 @@ class StabilityMargin(OfVibrations):
 
     sharpness  of the smooth maximum (SmoothMax) [s]; None: the largest real part itself
     speed      of rotation [rad/s]
-    axis, center, observer   of the rotation, as of OfVibrations
+    axis, center, observer   of the rotation, as in OfVibrations
 
     >>> body = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
     >>> rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y")
@@ -243,7 +244,7 @@ class CampbellClearance(OfVibrations):
     modes     numbers of the frequencies
     points    sample speeds, equally spaced from end to end; between them curves are taken as monotonic
 
-    axis, center, observer   of the rotation, as of OfVibrations: "turning" for loads that stand still while blades turn, or
+    axis, center, observer   of the rotation, as in OfVibrations: "turning" for loads that stand still while blades turn, or
               "ground" for unbalance
     Rows: all orders of the first frequency, then those of the second, ...
 

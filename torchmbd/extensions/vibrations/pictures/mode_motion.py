@@ -79,7 +79,7 @@ def animate_mode(
     title: str | None = None,
     size: float = 0.08,
 ) -> Path:
-    """Write a vibration about an equilibrium as an HTML file, the player of `animate`; arguments as of `mode_motion`.
+    """Write a vibration about an equilibrium as an HTML file, the player of `animate`; arguments as in `mode_motion`.
 
     title   before frequency and damping
 

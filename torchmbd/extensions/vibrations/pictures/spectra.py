@@ -44,7 +44,7 @@ def campbell(
     frequencies  [k, n] [Hz], a column for each vibration; nan where there is none
     damping      damping ratios [k, n] [-], in a second panel; both panels mark those below -0.001 %, which grow
     orders       vibrations per revolution
-    whirl        [k, n], as of `mbd.campbell`: forward whirl is drawn solid, backward dashed, all else dotted; None: all solid
+    whirl        [k, n], as in `mbd.campbell`: forward whirl is drawn solid, backward dashed, all else dotted; None: all solid
 
     >>> speeds = torch.linspace(0.0, 300.0, 31, dtype=torch.float64)
     >>> frequencies = torch.stack([20.0 - 0.02 * speeds, 20.0 + 0.03 * speeds], 1)
