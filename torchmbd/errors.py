@@ -23,7 +23,7 @@ _INSIDE = ("torchmbd", "torch", "scipy", "numpy", "contextlib", "functools")  # 
 
 
 class MbdError(Exception):
-    """Base of all errors that torchmbd raises on purpose.
+    """Base of all errors that torchmbd raises.
 
     >>> issubclass(mbd.InputError, mbd.MbdError) and issubclass(mbd.SimulationFailure, mbd.MbdError)
     True
@@ -154,7 +154,7 @@ class SimulationFailure(MbdError):
 
 
 class DesignFailure(InputError, SimulationFailure):
-    """A design lacks what is asked of it: an equilibrium, a critical speed, a derivative where frequencies coincide.
+    """A design does not have what is needed: an equilibrium, a critical speed, a derivative where frequencies coincide.
 
     It is an InputError for one design, and a SimulationFailure, whose status an optimizer gets, where designs are searched.
 

@@ -80,15 +80,15 @@ def one_thread() -> Iterator[None]:
 
 
 class threads:
-    """Share designs of a batch among `count` threads of this process from now on, or only inside `with mbd.threads(count):`.
+    """Share the designs of a batch among `count` threads from now on, or only inside `with mbd.threads(count):`.
 
-    count   1 or more; more than the cores of this process are slower, not wrong
+    count   1 or more; more threads than cores of this process are slower, with the same results
 
     Without `threads` the environment variable TORCHMBD_THREADS states the number. Without this variable it is the number of
-    cores that this process may use. Workers have one thread unless TORCHMBD_THREADS is set. Results have the same bits with
-    any number. Threads share steps of native code and their adjoint, and modes with their derivatives. Other operators of
-    torch run in one thread, and so do steps if native code calls a law in Python. `motion.stats["threads"]` is the number
-    of threads of the steps. Raises InputError unless `count` is a whole number, 1 or more.
+    cores that this process may use. Workers have one thread unless TORCHMBD_THREADS is set. Results are bitwise identical for
+    every number. Threads share steps of native code and their adjoint, and modes with their derivatives. Other operators of
+    torch run in one thread, and so do steps if native code calls a law in Python. `motion.stats["threads"]` is the number of
+    threads of the steps. Raises InputError unless `count` is a whole number, 1 or more.
 
     >>> with mbd.threads(2):
     ...     motion = mbd.simulate(mbd.examples.pendulum(), 0.1, steps=20)

@@ -141,7 +141,7 @@ def measure(function: Any = None, unit: str | None = None) -> Any:
     """Make a measure from a function of the motion.
 
     function  motion -> [lanes], any unit, of torch operations, as for `history`
-    unit      likewise: @mbd.measure(unit="J")
+    unit      SI unit of the values, such as "J": @mbd.measure(unit="J")
 
     A call raises InputError where the function returns another shape.
 

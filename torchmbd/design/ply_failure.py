@@ -37,7 +37,7 @@ LONGEST = 2.0
 
 @dataclass(frozen=True)
 class PlyFailure(History):
-    """Failure index of a laminated body [lanes, times] [-]: nothing fails where it is below one.
+    """Failure index of a laminated body [lanes, times] [-]: below one nothing fails.
 
     body       its name; its plies have a Strength
     criterion  "tsai_wu", "tsai_wu_irf" (grows in proportion to the load), "max_stress", "hashin", "puck" or "interlaminar",

@@ -153,12 +153,12 @@ def steps_for(
 
 
 def accuracy(problem: Any) -> str:
-    """By how many steps designs are evaluated, where the problem chooses them; "" where they were given."""
+    """The number of steps of the motions, if the problem chooses it; "" if it was given."""
     return f"{problem.steps} steps" if problem.chooses_steps and problem.steps else ""
 
 
 def coarse_problem(problem: Any) -> Any:
-    """The problem with steps of COARSE times its tolerance at the start, for the way to an optimum; None: it has no fewer."""
+    """The problem with fewer steps (COARSE times its tolerance) for the first half of a search; None: it has no fewer."""
     if not problem.chooses_steps or problem.steps is None or problem.tolerance is None:
         return None
     choice = steps_for(problem, problem.start, tolerance=COARSE * problem.tolerance)
@@ -166,7 +166,7 @@ def coarse_problem(problem: Any) -> Any:
 
 
 def refined_problem(problem: Any, x: np.ndarray) -> Any:
-    """The problem with the steps that a design [n] needs; None: it has them, or steps were given."""
+    """The problem with the steps that a design [n] needs; None if it has them, or if steps were given."""
     if not problem.chooses_steps or problem.steps is None:
         return None
     size = _OF_START * _first_errors(problem, problem.start).objective
@@ -180,7 +180,7 @@ def refined_problem(problem: Any, x: np.ndarray) -> Any:
 
 
 def with_steps(problem: Any, steps: int) -> Any:
-    """The same problem by other steps: limits and scales "initial" are those of the start by these steps."""
+    """The same problem with other steps: limits and scales "initial" are computed with these steps."""
     other = copy.copy(problem)
     for name in ("reference", "steps", "coarse"):
         other.__dict__.pop(name, None)

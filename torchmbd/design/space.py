@@ -157,7 +157,7 @@ class DesignSpace:
         return self.vector("lower", lower, -without), self.vector("upper", upper, without)
 
     def vector(self, argument: str, x: Any, default: np.ndarray, noun: str = "") -> np.ndarray:
-        """Numbers [n], one for each design variable, in the units of their parameters; InputError for what cannot be.
+        """Numbers [n], one for each design variable, in the units of their parameters; InputError for invalid numbers.
 
         argument  its name, such as "start"; the paths of errors are this name, the parameter and the entry
         noun      the words for it in messages

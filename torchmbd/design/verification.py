@@ -45,7 +45,7 @@ _UNRESOLVED = 16.0  # reduction of the error that is asked for where none is kno
 
 @warnings_once()
 def verify(result: OptimizationResult | MultistartResult) -> Verification:
-    """Simulate best design and start with finer steps, more modes and finer meshes: do gain and constraints hold?
+    """Simulate start and best design with a finer model, and compare the gain and the constraints.
 
     result  of `optimize` or `multistart`, of a Problem, Scenarios or RobustProblem
 

@@ -8,7 +8,7 @@ Modules with a function `build`, the mechanisms of many tests:
     slider_crank    of the paper, with a laminated rod
     two_link_arm    a laminated arm whose elbow latches, in two phases
 
-Others stand in experiments/models of the repository.
+More mechanisms are in experiments/models of the repository.
 Checked in tests/test_docstrings.py.
 """
 

@@ -268,19 +268,21 @@ def equilibrium(
 
     A differentiable function of the parameters as `simulate` is, forward and reverse.
 
-    system      the model; parameters that `designs` does not name keep their own values
-    times       of the loads and drives [s], ascending: quasi-static steps; each starts at the equilibrium before
+    system      the model; parameters that `designs` does not name keep their values
+    times       of the loads and drives [s], ascending: quasi-static steps; each starts at the previous equilibrium
     designs     as in `simulate`; lanes
     variables   as in `simulate`
     start       where the search begins: "assembled", a motion, or numbers for bodies, as in `simulate`
-    follow      the search of each lane starts at the equilibrium of the lane before: a path of loads or other values,
+    follow      the search of each lane starts at the equilibrium of the previous lane: a path of loads or other values,
                 designs={"push.z": torch.linspace(0.0, -100.0, 11)}
-    spin, center   angular velocity [rad/s], [3] or of each lane [lanes, 3], with which the whole rotates about an axis through
-                a point [m] of the ground: rest is steady rotation, with rates and accelerations; a tensor has a gradient
-    observer    of the vibrations in a steady rotation: "turning" with the whole, or in the "ground", for a shaft that is alike
-                across the axis in bearings that are not
-    unstable    the equilibrium nearest to the start, also where the stiffness does not hold it; False: the search goes downhill
-                in energy. A shaft above its critical speed is such a state: Coriolis's forces hold it, and `stable` says so
+    spin, center   angular velocity [rad/s], [3] or of each lane [lanes, 3], of the whole system about an axis through a point
+                   [m] of the ground: the equilibrium is a steady rotation, with velocities and accelerations; a tensor has a
+                   gradient
+    observer    of the vibrations in a steady rotation: "turning" with the system, or in the "ground", for a round shaft in
+                anisotropic bearings
+    unstable    True: the equilibrium nearest to the start, also if its stiffness is not positive definite; False: the search
+                decreases the energy. A shaft above its critical speed needs True: Coriolis forces stabilize it, and `stable`
+                says so
 
     Raises InputError with the forces that remain if there is none; with flexible beams, whose loads grow in steps unless
     `unstable` is given, with the part of the loads at which the mechanism buckles or reaches a limit point. Otherwise a free

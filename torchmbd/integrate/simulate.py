@@ -40,15 +40,15 @@ def simulate(
     """Simulate one design, or a batch of independent designs (lanes): `Simulation(...)(designs)`.
 
     The motion is a differentiable function of the parameters, as any operation of torch: of `designs` and of parameters of
-    the system that require a gradient, in grad mode and under torch.func. Second derivatives are refused.
+    the system that require a gradient, in grad mode and under torch.func. Second derivatives raise an error.
 
-    system      the model; parameters that `designs` does not name keep their own values
+    system      the model; parameters that `designs` does not name keep their values
     duration    simulated time [s], positive; a tensor [] has a gradient: the number of steps stays, their size changes
     method      "generalized_alpha", "hht_alpha", or a method of torchdiffeq, such as "dopri5" or "rk4"
     steps       equal time steps, and output intervals; default: as many as drives, loads and the vibrations that they excite
                 need, by the estimated error of a step, at least 200 (how-to "Choose steps"); `stats["steps"]` says how many.
                 Adaptive methods choose their own steps between the outputs
-    designs     parameter name -> values [lanes, ...], or [...] for one lane; others keep their own values
+    designs     parameter name -> values [lanes, ...], or [...] for one lane; other parameters keep their values
     phases      a list of Phase, one after the other; default: a single phase without locks or releases
     gradients   "reverse": by the adjoint of the steps. With native code the motion with its gradient costs about 1.5
                 simulations, and 0.12 for each response, whatever the number of variables; one-step methods, such as
@@ -61,10 +61,10 @@ def simulate(
     start       "assembled": bodies as they were given, joints closed, flexible bodies undeformed or `bent`. "equilibrium": at
                 rest under gravity and forces, drives where they are at t = 0. A motion: its last state. Or numbers [...] or
                 [lanes, ...] for some bodies, {"rod.modal": ..., "load.velocity": ...}: position, axes, velocity,
-                angular_velocity, modal, modal_velocity. Joints are closed and rates made compatible from there
+                angular_velocity, modal, modal_velocity. Then joints are closed and velocities made compatible
     progress    a bar of the simulated time on standard error; None: in a terminal or a notebook, where the motion takes more
                 than three seconds
-    variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
+    variables   names of the parameters whose gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
                 halvings, and checkpoint=k, which keeps every k-th state; torchdiffeq: rtol, atol, options

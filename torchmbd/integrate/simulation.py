@@ -81,17 +81,16 @@ class _Preparation(NamedTuple):
 
 
 class Simulation(Summary):
-    """The motions of a system over a duration, for any designs: made and checked once, called often.
+    """The motions of a system over a duration, for any designs: prepared and checked once, called often.
 
     system, duration, method, steps, phases, backend, start, options   as in `simulate`
 
     `simulation(designs, gradients, variables, progress)` returns a Trajectory; its arguments are those of `simulate` as well.
     `simulate(...)` is `Simulation(...)(...)`, with the same numbers.
 
-    A call uses the numbers that parameters, constants and tensors of `start` have then. Where constant positions, axes or rates
-    of bodies have changed, or a state dict was loaded, the call prepares the simulation anew. Bodies, joints and forces of a
-    System do not change: other ones are another System, and another Simulation.
-    Raises InputError for bad arguments.
+    A call uses the present numbers of parameters, constants and tensors of `start`. If constant positions, axes or velocities
+    of bodies have changed, or a state dict was loaded, the call prepares the simulation again. Bodies, joints and forces of a
+    System cannot change: make another System and another Simulation. Raises InputError for bad arguments.
 
     >>> simulation = mbd.Simulation(mbd.examples.arm(), duration=0.1, steps=40)
     >>> simulation().q.shape  # lanes, times, coordinates

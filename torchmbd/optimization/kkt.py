@@ -46,7 +46,7 @@ def kuhn_tucker(
 ) -> KuhnTucker:
     """Estimate the multipliers at `y`, whose evaluation carries gradients.
 
-    feasibility  violation of a constraint that counts as none
+    feasibility           largest violation that counts as feasible
     """
     estimates = (_estimate(evaluation, y, lower, upper, equality, feasibility, band) for band in BANDS)
     return min(estimates, key=lambda estimate: estimate.residual)

@@ -194,7 +194,7 @@ class OptimizationResult(Summary):
     value                 objective there; nan: the start could not be evaluated
     constraints           [m], satisfied where <= 0
     violation             the largest of a constraint, 0 where all are satisfied
-    status, message       a key of STATUSES, and a sentence why; only "converged" claims an optimum
+    status, message       a key of STATUSES, and its reason; only "converged" claims an optimum
     method                its name
     iterations            accepted designs after the start
     analyses              simulations, with or without gradients
@@ -208,9 +208,9 @@ class OptimizationResult(Summary):
     kkt_residual          of the scaled problem (kkt.py), at most the method's option `kkt` where it converged; nan where no
                           gradient is known
     names                 of the design variables [n]
-    start                 which start of a multistart it was
+    start                 number of the start in a multistart
     problem               what was minimized
-    feasibility           violation of a constraint that counts as none
+    feasibility           largest violation that counts as feasible
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
@@ -267,7 +267,7 @@ class OptimizationResult(Summary):
 
     @property
     def active(self) -> list[str]:
-        """Names of the constraints and of the bounds that hold the design: those with a multiplier."""
+        """Names of the active constraints and bounds: those with a multiplier."""
         rows = getattr(self.problem, "row_names", [])
         known = len(rows) == len(self.multipliers)
         labels = rows if known else [f"constraint {k + 1}" for k in range(len(self.multipliers))]

@@ -132,7 +132,7 @@ def pareto_front(
     feasibility: float = FEASIBILITY,
     **options: Any,
 ) -> Front:
-    """Find the designs of which no other is better in all criteria.
+    """Find the Pareto-optimal designs: no other design is better in all criteria.
 
     problem     a Tradeoff, or another problem of several criteria
     divisions   steps between two anchors; C(divisions + k - 1, k - 1) points in all, of k criteria

@@ -105,7 +105,7 @@ class RobustProblem:
 
     @property
     def coarse(self) -> RobustProblem | None:
-        """The problem of less accuracy for the way to an optimum; None: there is none."""
+        """A less accurate problem for the first half of a search; None: there is none."""
         return self.over(getattr(self.problem, "coarse", None))
 
     def refined(self, x: np.ndarray) -> RobustProblem | None:
@@ -131,7 +131,7 @@ class RobustProblem:
 
     @property
     def accuracy(self) -> str:
-        """By what designs are evaluated."""
+        """The steps with which designs are evaluated."""
         return getattr(self.problem, "accuracy", "")
 
     def over(self, problem: Any) -> RobustProblem | None:

@@ -87,7 +87,7 @@ class PlyHistory:
         return rule(self.stress(times), strength[:, None])
 
     def critical(self, criterion: str = "tsai_wu") -> Int[Tensor, "lanes times"]:
-        """Which point is nearest to failure, at each time."""
+        """The point that is nearest to failure, at each time."""
         _, strength = self._rule(criterion)
         size = max(1, _CHUNK // len(self.points))
         rows = []

@@ -54,7 +54,7 @@ class ResponseError:
     reasons   why a lane is not resolved, "" where it is
     note      what the estimates are worth for this kind of response, "" where there is nothing to say
     by_modes  error by the modes of flexible bodies; zeros where bodies have none that could be more; None: not estimated
-    by_mesh   error by the meshes of flexible bodies, likewise
+    by_mesh   error by the meshes of flexible bodies; None: not estimated
     unknown   why an error is None or lacks a part: "by_modes: ..."
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)

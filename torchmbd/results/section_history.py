@@ -93,7 +93,7 @@ class SectionHistory:
         return self._beams[self._key(part)].ends
 
     def lengths(self, part: str | None = None) -> Float[Tensor, "lanes elements"]:
-        """Lengths of the elements of a part, of each design its own [m]."""
+        """Lengths of the elements of a part [m], for each design."""
         return self._recovered[self._key(part)].length
 
     def forces(self, part: str | None = None, times: slice = slice(None)) -> Float[Tensor, "lanes times ends 6"]:
@@ -101,7 +101,7 @@ class SectionHistory:
         return torch.einsum("lesm,ltm->ltes", self._recovered[self._key(part)].forces[:, :, :6], self.w[:, times])
 
     def points(self, part: str | None = None) -> Float[Tensor, "points 2"]:
-        """Where the stresses are, y and z in the axes of the section [m]."""
+        """Points y, z of the stresses in the axes of the section [m]."""
         section = self._section(self._key(part))
         element, point = section.stress_points.unbind(1)
         return section.geometry.points[element, point]
@@ -128,7 +128,7 @@ class SectionHistory:
         return stress.flatten(1, 2), strength
 
     def critical(self, criterion: str = "tsai_wu", part: str | None = None) -> Int[Tensor, "lanes times 2"]:
-        """Which end and which point of a part is nearest to failure, at each time."""
+        """The end and the point of a part that are nearest to failure, at each time."""
         key = self._key(part)
         _rule(criterion)
         made, rows, strength = self._recovered[key], [], self._strength(key)

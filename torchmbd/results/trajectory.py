@@ -110,8 +110,8 @@ class Trajectory(MotionData):
         return self._again[key]
 
     def error_of(self, response: Callable[[Any], Tensor], *, modes: bool = True, mesh: bool = True) -> ResponseError:
-        """Estimated errors of a measure: the motion is simulated once more with half the step, and with twice the step or a
-        quarter of it where this does not show enough; once more with more modes, and once more with finer meshes.
+        """Estimated errors of a measure. The motion is simulated again with half the step, and if necessary with twice or a
+        quarter of the step; then with more modes, and with finer meshes.
 
         response      a measure, such as mbd.Max(...), or a function of a motion that returns [lanes] or [lanes, rows]
         modes, mesh   whether the errors by the modes and by the meshes of flexible bodies are estimated
@@ -120,5 +120,5 @@ class Trajectory(MotionData):
         return response_error(self, response, true_or_false("modes", modes), true_or_false("mesh", mesh))
 
     def singular_positions(self) -> list[SingularPosition]:
-        """Where and when the motion came near a position at which its constraints lose rank."""
+        """Positions near to the motion at which its constraints lose rank, with their times."""
         return singular_positions(self)

@@ -301,14 +301,14 @@ class StudyFile(Section):
     design      design variables: parameters of the model with bounds and a unit
     links       entries of `design` that follow others: entry -> {entry: factor, constant: offset}
     simulate    the motion: duration, steps, start, method
-    tradeoff    named responses whose Pareto front is sought; stands instead of `minimize`
+    tradeoff    named responses whose Pareto front is searched for; replaces `minimize`
     robust      what is asked over the tolerances of `design`: `expected`, the mean, or `worst`
     subject_to  constraints, all of which hold
     scenarios   load cases or settings in which one design is simulated
     combine     what is asked of objective and constraints over the scenarios
     optimizer   the method of optimization with its options
     starts      designs from which the optimizer starts
-    sweep       one entry of `design` with a range: evaluated along it; stands instead of `optimizer` and `starts`
+    sweep       one entry of `design` with a range: evaluated along it; replaces `optimizer` and `starts`
     tracking    where MLflow keeps the runs
     """
 

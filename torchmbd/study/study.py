@@ -119,7 +119,7 @@ class Study(StudySettings):
 
     @property
     def verification(self) -> Verification | None:
-        """Start and best design of the last run in a finer model: do gain and constraints hold? None: nothing to simulate."""
+        """Start and best design of the last run in a finer model (`mbd.verify`); None if nothing was simulated."""
         return self._ended.verification
 
     @property

@@ -53,7 +53,7 @@ def animate(
     motion      a Trajectory
     lane        which design of the batch
     scale       factor of the deformation at first; None: the largest deformation is drawn as 5 % of the picture
-    max_frames  time points at most; of more every n-th is kept
+    max_frames  largest number of times; of a longer motion every n-th time is kept
     problem     its objective and constraints are drawn over time; None: strain energies
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)

@@ -101,7 +101,7 @@ def criteria_over_iterations(
     best      name of the best start
     title     of the figure
 
-    Of a response of several rows the one nearest to its limit is drawn.
+    A response of several rows is drawn by the row that is nearest to its limit.
 
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.02, mbd.Integral(mbd.StrainEnergy("arm")), steps=20)
     >>> result = mbd.optimize(problem, max_iterations=1, progress=False)

@@ -31,7 +31,7 @@ def parallel_coordinates(
     title: str = "",
     largest: bool = False,
 ) -> Figure:
-    """A line for each design, the better the darker; the best is thick, designs that are not feasible are dashed.
+    """A line for each design, darker for better designs; the best is thick, designs that are not feasible are dashed.
 
     designs     [count, n], in the units of the headings
     objectives  of the designs [count]

@@ -66,7 +66,7 @@ def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None,
     supports  nodes -> supported degrees of freedom, as "u1 u3 phi2", or "all"; or six numbers, imposed displacements and
               rotations [m, rad], None for a free one. None: the reference nodes of the body are clamped
     number    of factors
-    Raises InputError where arguments are wrong or the supports leave the body movable.
+    Raises InputError if arguments are wrong, or if the supports leave a rigid-body motion free.
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)

@@ -32,7 +32,7 @@ AXES = "xyz"
 
 
 class FiberField:
-    """Where control points lie, and how the cells of a mesh follow from them.
+    """Control points, and the weights by which the values of the cells of a mesh follow from them.
 
     mesh      the mesh whose cells get values
     controls  (m, n) control points of a spline along two axes of the mesh, or places [k, 3] [m] of radial functions,
@@ -102,7 +102,7 @@ class FiberField:
         return (self.weights[..., None] * p[..., self.nearest, :]).sum(-2)
 
     def gradients(self, p: Float[Tensor, "*lanes controls layers"]) -> Float[Tensor, "*lanes cells layers 3"]:
-        """Its gradient there, in mesh axes [1/m]."""
+        """The gradient of the field in the middle of each cell, in mesh axes [1/m]."""
         return torch.einsum("cxr,...crk->...ckx", self.slopes, p[..., self.nearest, :])
 
     def zones(self, mesh: Mesh, cells: Int[Tensor, " cells"]) -> Int[Tensor, " cells"]:

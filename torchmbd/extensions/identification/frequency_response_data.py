@@ -34,11 +34,11 @@ PARTS = {"complex": ("real", "imaginary"), "polar": ("magnitude", "phase")}
 
 
 class FrequencyResponseData(Measurement):
-    """Frequency responses of some outputs by one input.
+    """Frequency responses of some outputs to one input.
 
     data        a mapping of arrays: frequencies, and one complex array for each output; or a CSV file or a DataFrame with
                 two columns for each, "tip real" and "tip imaginary", or for form="polar" "tip magnitude" and "tip phase";
-                units may stand in the headings, else SI: [Hz], the unit of the output over that of the input, [rad]; nan is
+                units may be in the headings, else SI: [Hz], the unit of the output over that of the input, [rad]; nan is
                 a gap
     input       an actuator of the system, such as mbd.signals.JointTorque(joint)
     outputs     name -> a signal of one number, such as mbd.signals.JointAngle(joint); or a pair of a signal of three and a
@@ -49,8 +49,8 @@ class FrequencyResponseData(Measurement):
                 phase
     deviation   name -> standard deviation of both parts, in the unit of the response or, of "polar", [-] and [rad]: a number,
                 or one for each row, by which rows have weights; estimated from the residuals where there is none
-    options     of `equilibrium`: spin, center, observer for a steady rotation, times. Sensors and forces across the axis that
-                stand still need observer="ground"
+    options     of `equilibrium`: spin, center, observer for a steady rotation, times. Fixed sensors and forces perpendicular
+                to the axis need observer="ground"
 
     >>> [hinge] = mbd.examples.pendulum().joints
     >>> shown = {"f": [0.2, 0.4], "swing": [0.1 + 0.0j, -0.2 - 0.01j]}

@@ -183,13 +183,15 @@ class Identification(Summary):
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance [n, n], linearized; infinite where the data see nothing, zero of constants."""
+        """Covariance [n, n], linearized; infinite for unknowns that the data do not determine, zero for constants."""
         searched, result = self.searched, np.zeros((len(self.names), len(self.names)))
         result[np.ix_(searched, searched)] = covariance(self._known_jacobian, self.size[searched], self.variance_factor)
         return result
 
     def _half_width(self, level: float) -> np.ndarray:
-        """Half the width of the intervals of a level [n]; infinite where the data see nothing, zero of constants."""
+        """Half the width of the intervals of a level [n]; infinite for unknowns that the data do not determine, zero for
+        constants.
+        """
         free, k = self._freedoms_of_channels, self.searched
         channels = [(row.rows, free[row.name]) for row in self.problem.rows if row.estimated and free[row.name]]
         if self.settings.loss is not LOSSES["linear"]:  # the factor of variances is that of the residuals
@@ -206,7 +208,7 @@ class Identification(Summary):
 
     @property
     def size(self) -> np.ndarray:
-        """Sizes of the unknowns [n], by which changes count: their units, or their values where these are larger."""
+        """Sizes of the unknowns [n], to which changes are compared: their scales, or their values if these are larger."""
         return np.fmax(self.fit.scale, np.abs(self.x))
 
     @property
@@ -217,7 +219,7 @@ class Identification(Summary):
 
     @property
     def deviation(self) -> np.ndarray:
-        """Standard deviations of the unknowns [n], linearized; inf where the data cannot tell."""
+        """Standard deviations of the unknowns [n], linearized; inf if the data do not determine them."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
@@ -227,7 +229,7 @@ class Identification(Summary):
 
     @property
     def correlations(self) -> np.ndarray:
-        """Correlations of the unknowns [n, n]; nan where the data see nothing."""
+        """Correlations of the unknowns [n, n]; nan if the data do not determine them."""
         return correlations(self.covariance)
 
     @property
@@ -263,7 +265,7 @@ class Identification(Summary):
 
     @property
     def validation(self) -> list[ChannelFit]:
-        """The same of the experiments that were held out; none if there are none, or if the model fails there."""
+        """How model and data agree in the validation experiments; empty without them, or if the model fails there."""
         if self.validation_problem is None or self.validation_residuals is None or not self.validation_residuals.ok:
             return []
         return channel_fits(self.validation_problem, self.validation_residuals.values)
@@ -306,7 +308,8 @@ class Identification(Summary):
     def leave_one_out(self) -> DataFrame:
         """How far each unknown moves, in its standard deviations, if a channel, or an experiment, is left out; linearized.
 
-        A row for each channel, then for each experiment where there are several. Far moves: this one contradicts the others.
+        A row for each channel, then for each experiment where there are several. A large move means that this channel
+        contradicts the others.
         """
         import pandas as pd
 
@@ -336,8 +339,8 @@ class Identification(Summary):
     def profile(self, name: str, level: float = LEVEL) -> tuple[float, float]:
         """Interval of an unknown by its profile likelihood: all others are fitted again for each of its values.
 
-        It needs no linearization: of strongly nonlinear unknowns it is not symmetric, and infinite where the data do not
-        end it. Every call simulates some tens of designs.
+        It is not linearized: for strongly nonlinear unknowns it is not symmetric, and infinite if the data do not bound it.
+        Every call simulates some tens of designs.
         """
         key = (name, level)
         require_range("level", level, 0.0, 1.0)

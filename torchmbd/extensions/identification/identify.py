@@ -73,7 +73,7 @@ def identify(
                      "<experiment>.<channel>.delay"
     bounds, start, links   as in DesignSpace, by names of parameters; a delay needs finite bounds. Masses, moduli and
                      other positive parameters are at least 0
-    priors           parameter name -> (mean, standard deviation): what is known of an unknown before
+    priors           parameter name -> (mean, standard deviation): prior knowledge of an unknown
     scales           parameter name -> size of its changes; default: |start|, or by the data where the start is zero, or tiny
                      beside the range of its bounds, and of offsets and delays
     validation       experiments that are held out: the fitted model is compared with them

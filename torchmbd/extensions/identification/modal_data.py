@@ -65,7 +65,7 @@ class ModalData(Measurement):
     """Frequencies of small vibrations about an equilibrium; damping ratios and shapes at sensors where they were measured.
 
     frequencies  [modes] [Hz], ascending
-    damping      damping ratios [modes] [-], nan where there is none; None: not measured
+    damping      damping ratios [modes] [-], nan for modes without a measurement; None: not measured
     shapes       [sensors, modes], of any scale; None: modes are paired by their order
     sensors      of the rows of the shapes: positions such as mbd.Position("arm", "z", node="right"), of points and directions
     modes        without shapes: numbers of the modes of the model, 1 for the lowest that is not a rigid motion; default: 1,

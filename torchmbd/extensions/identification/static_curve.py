@@ -33,7 +33,7 @@ class StaticCurve(Measurement):
     """Channels measured at rest under several loads.
 
     data      a CSV file, a DataFrame or a mapping of arrays: columns of loads, and one for each channel; nan is a gap
-    loads     parameter of the system -> name of the column with its values; units may stand in the headings, else SI
+    loads     parameter of the system -> name of the column with its values; units may be in the headings, else SI
     channels  name -> mbd.Channel(...) without delay, or a history whose name is that of its column
 
     >>> force = [0.0, 1.0, 2.0]

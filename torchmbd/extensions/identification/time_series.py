@@ -45,7 +45,7 @@ class TimeSeries(Measurement):
 
     data      a CSV file, a DataFrame or a mapping of arrays: a column of times, one for each channel; nan is a gap
     channels  name -> mbd.Channel(...), or a history whose name is that of its column
-    time      name of the column of times, in ascending order [s], from the start of the motion; a unit may stand in its heading
+    time      name of the column of times, in ascending order [s], from the start of the motion; a unit may be in its heading
 
     Raises InputError for columns that do not exist, with the nearest name; for a field that is not a number, with its line;
     for times that do not increase; for a channel of gaps alone.

@@ -142,7 +142,7 @@ class LaminationParameters(Laminate):
         return self.membrane, torch.zeros_like(self.membrane) if self.coupling is None else self.coupling, bending
 
     def stiffness(self) -> LaminateStiffness:
-        """A, B, D, As of the parameters; of a field those of each cell."""
+        """A, B, D, As of the parameters; with a field those of each cell."""
         sets = map(self._of_cells, self.sets())
         a, b, d, h = torch.broadcast_tensors(*sets, self.total_thickness[..., None])  # those that vary have lanes
         h = h[..., :1, None]

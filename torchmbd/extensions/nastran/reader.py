@@ -31,7 +31,7 @@ def read_bdf(
     units     of the file: "m" (m, kg, s, N, Pa), "mm" (mm, t, s, N, MPa), "cm" (cm, N s2/cm, s, N, N/cm2), "in" (in,
               lbf s2/in, s, lbf, psi), "ft" (ft, slug, s, lbf, lbf/ft2); a PARAM WTMASS of the file counts
     mass      "lumped", or "consistent", for comparison
-    density   of materials without RHO [kg/m3], as in decks for statics; None: they are refused
+    density   of materials without RHO [kg/m3], as in decks for statics; None: they raise an error
     options   position, axes, damping, reference, reduction, interface, updated, stiffening: as in `FlexibleBody.plate`; without
               a reference it is the grids whose six degrees of freedom the file fixes (SPC, SPC1)
     Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.

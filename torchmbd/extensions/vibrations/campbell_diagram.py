@@ -71,9 +71,9 @@ def campbell(
     designs: Mapping[str, Tensor] | None = None,
     modes: int = 6,
 ) -> Campbell:
-    """Vibrations of a machine that turns as a whole, over speeds; differentiable as equilibria are.
+    """Vibrations of a machine that rotates as a whole, over speeds; differentiable like equilibria.
 
-    system           the model; drives that turn the whole turn at each of the speeds, whatever their laws
+    system           the model; drives that rotate the whole machine get each of the speeds, whatever their laws
     speeds           rising [k] [rad/s]
     axis, center     of the rotation: "x", "y", "z" or a vector, and a point [m]
     observer         "turning" with the machine, or in the "ground", as in `equilibrium`

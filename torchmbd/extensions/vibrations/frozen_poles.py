@@ -31,9 +31,9 @@ def frozen_poles(
     coordinates   names of independent increments, as in `linearize`, on which the poles depend; None: first modes and
                   rotations that are independent, then displacements; the choice for the first lane applies to all lanes
 
-    In rising order of the size of the imaginary part, then of the real one. Differentiable as the motion is, in both modes.
-    A single pole of several that coincide has no derivative, nor has one of a defective pair: InputError, by name. Lanes that
-    failed raise SimulationFailure. Designs are lanes of one motion: torch.vmap over designs is refused.
+    The order is by the size of the imaginary part, then by the real part. Differentiable like the motion, in both modes.
+    A single pole of several that coincide does not have a derivative, and neither has a defective pair: InputError names
+    them. Lanes that failed raise SimulationFailure. Designs are lanes of one motion: torch.vmap over designs raises an error.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.5, steps=50)
     >>> angle = mbd.Angle("bob", "z")(motion)[0, -1]

@@ -111,9 +111,9 @@ def linearize(
     Controllers of the system stay closed. About a motion x are the increments of the coordinates and their rates:
     displacements in ground axes, rotations in axes of the moving body. x' = A(t) x holds along the motion for any coordinates,
     but the eigenvalues of A at one time depend on them, if their relation turns with the motion; `states` has their names.
-    Raises InputError for a state that is none, for a motion in phases, and for inputs and outputs of a steady rotation that its
-    observer sees turn: directions of the ground across the axis need observer="ground". SimulationFailure for a lane that
-    failed.
+    Raises InputError for another kind of state, for a motion in phases, and for inputs and outputs whose direction rotates
+    for the observer of a steady rotation: directions of the ground perpendicular to the axis need observer="ground".
+    SimulationFailure for a lane that failed.
 
     >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
     >>> bob = hinge.b.body

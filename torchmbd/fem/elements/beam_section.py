@@ -58,8 +58,8 @@ class GivenSection(nn.Module):
     mass        6 x 6, symmetric and positive definite, of a plane section (polar inertia = sum of the other two)
 
     An entry may be mbd.variable(...): a design variable, "section.stiffness_55" or "section.mass_11", rows and columns from 1.
-    Off the diagonal it stands on both sides; entries with the same variable are one. A torch.nn.Parameter [6, 6] is a design
-    variable as a whole: "section.matrix", "section.inertia".
+    An entry off the diagonal applies to both sides; entries with the same variable are one. A torch.nn.Parameter [6, 6] is a
+    design variable as a whole: "section.matrix", "section.inertia".
 
     >>> area, I = 1e-4, 8.3e-10  # a square rod of 10 mm [m2], [m4]
     >>> rod = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=area, Iyy=I, Izz=I, J=1.4e-9)

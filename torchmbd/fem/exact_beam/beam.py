@@ -72,7 +72,7 @@ class BeamState(NamedTuple):
 
 
 class ExactBeam(nn.Module):
-    """A beam of finite displacements and rotations, on its own (no body of a System).
+    """A single beam with finite displacements and rotations (not a body of a System).
 
     name           for messages
     line           nodes and two-node elements, straight or arcs
@@ -169,7 +169,7 @@ class ExactBeam(nn.Module):
                             and a rotation vector [m, rad], None where it is free. None: all of "start"
         gravity             [m/s2]
         spin, center        angular velocity [rad/s] of the supports about an axis through a point [m]: steady rotation
-        unstable            True: equilibria are followed past points where they lose their stability
+        unstable            True: also follow equilibria that are not stable
 
         Differentiable, forward and reverse, by parameters of sections, line and twist, and by loads, gravity, spin and
         center that are tensors. Moments that keep their directions and follower loads have no potential: for these a

@@ -84,7 +84,7 @@ class LaminateStiffness(NamedTuple):
 class Laminate(nn.Module):
     """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
 
-    A torch.nn.Parameter is registered itself, not copied; computed tensors that require gradients are refused.
+    A torch.nn.Parameter is registered itself, not copied; computed tensors that require gradients raise an error.
 
     ply               one Ply, or one per given layer; numbers of it that vary are parameters "ply.E1", of several plies
                       "ply2.E1": of the third layer

@@ -37,7 +37,7 @@ PLANE_CRITERIA = tuple(name for name in MODES if name != "interlaminar")
 class PlyLoss(NamedTuple):
     """A step of progressive failure.
 
-    load    how many times the given forces the laminate bears when it happens; never less than the load of the step before
+    load    factor of the given forces at which it happens; not less than the load of the previous step
     layers  which layers fail, 0 at the bottom
     mode    of the first of them, such as "matrix tension"
     """
@@ -60,8 +60,8 @@ def progressive_failure(
     criterion  "puck", "hashin" or "max_stress"; plies have a Strength, for the first two with finite Xt, Xc, Yt, Yc, S12
     kept       share of the stiffness that a failed ply keeps, at most 1e-3
 
-    The first load is that of first-ply failure, the last one what the laminate bears at most. Loads have gradients with
-    respect to the laminate's parameters and the forces, as long as the order of the steps stays.
+    The first load causes first-ply failure, the last one is the largest that the laminate carries. Loads have gradients with
+    respect to the laminate's parameters and the forces, if the order of the steps does not change.
 
     >>> strength = mbd.Strength(Xt=1.5e9, Xc=1.5e9, Yt=40e6, Yc=246e6, S12=68e6)
     >>> ply = mbd.Ply(181e9, 10.3e9, 7.17e9, 7.17e9, 7.17e9, 0.28, 1600.0, strength=strength)

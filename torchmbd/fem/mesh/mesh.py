@@ -151,11 +151,11 @@ class Mesh:
         return tuple(mask.nonzero().flatten().tolist())
 
     def node_name(self, k: int) -> str:
-        """What messages call a node."""
+        """Name of a node in messages."""
         return self.node_labels[k] if self.node_labels else f"node {k}"
 
     def cell_name(self, k: int) -> str:
-        """What messages call a cell."""
+        """Name of a cell in messages."""
         if self.cell_labels:
             return self.cell_labels[k]
         return f"triangle {k}" if k < len(self.triangles) else f"quad {k - len(self.triangles)}"

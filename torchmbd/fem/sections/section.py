@@ -172,12 +172,12 @@ class Section(nn.Module):
         return (weight[..., None, None] * (rigid.mT @ rigid)).sum((-4, -3))
 
     def shear_center(self) -> Float[Tensor, "*lanes 2"]:
-        """Where a shear force makes no twist, y and z [m] (of the section alone: without bend-twist coupling)."""
+        """Point y, z [m] at which a shear force does not cause twist (of the section alone: without bend-twist coupling)."""
         S = self.compliance()
         return torch.stack([-S[..., 3, 2], S[..., 3, 1]], dim=-1) / S[..., 3, 3, None]
 
     def tension_center(self) -> Float[Tensor, "*lanes 2"]:
-        """Where a normal force makes no curvature, y and z [m]."""
+        """Point y, z [m] at which a normal force does not cause curvature."""
         S = self.compliance()
         a, b, c = S[..., 4, 4], S[..., 4, 5], S[..., 5, 5]
         p, q = S[..., 4, 0], S[..., 5, 0]

@@ -46,7 +46,7 @@ class Phase:
              (times may be tensors [] that are being differentiated: the motion has gradients with respect to them)
     lock     joints, or their names, that are held where they are when the phase begins
     release  joints, or their names, that do not act
-    laws     names of force elements of one action each -> laws that act in their places
+    laws     names of force elements of one action each -> laws that replace theirs
     impact   at the event that ends the phase: the coefficient of restitution of the event's function as a gap,
              from 0 to 1; or a map of the velocities, motion -> [lanes, times, n_v]
     name     for messages; default: its number, from 1

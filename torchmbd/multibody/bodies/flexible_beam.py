@@ -75,7 +75,7 @@ class FlexibleBeam(ExactBeam):
     name, line, section, orientation, offset, twist   as in ExactBeam; the line must not vary with the design
     position, axes    initial origin of the mesh axes in ground axes [m] and their rotation; the beam starts without strain
     velocity          initial velocity of that origin in ground axes [m/s]; None: the smallest that the joints allow
-    angular_velocity  initial angular velocity of the beam as a rigid body, in mesh axes [rad/s]; None likewise
+    angular_velocity  initial angular velocity of the beam as a rigid body, in mesh axes [rad/s]; None: the smallest
     damping           time [s]: section forces grow by stiffness x damping x rate of strain; mbd.variable(...): "NAME.damping"
 
     `at(node)` is a frame for joints and forces. Nodes are bodies of the system, called "NAME_0", "NAME_1", ...: they have

@@ -46,7 +46,7 @@ class Frame:
     """A point and a triad of axes attached to a body; made by `body.at(...)`.
 
     point           position in the undeformed body, in body axes [3] [m]; of design variables, their first values
-    axes            columns: the axes of the frame in body axes [3, 3], likewise
+    axes            columns: the axes of the frame in body axes [3, 3]; of design variables, their first values
     interpolation   mesh nodes whose motion the frame takes; None on a rigid body
     varying         point and axes as a module (Numbers of Place) where numbers of them are design variables; else None
 

@@ -67,10 +67,10 @@ class RigidBody(nn.Module):
     mass              [kg], positive
     inertia           about the center of mass: (Jxx, Jyy, Jzz) or a symmetric 3 x 3 matrix [kg m2]
     center            center of mass in body axes [m]
-    position, axes    approximate initial origin in ground axes [m] and rotation (columns: body axes); the joints correct both
+    position, axes    approximate initial origin in ground axes [m] and rotation (columns: body axes); joints may change both
     velocity          initial velocity of the origin in ground axes [m/s], which joints may change; None: the smallest that
                       the joints and drives allow
-    angular_velocity  initial angular velocity in body axes [rad/s], likewise
+    angular_velocity  initial angular velocity in body axes [rad/s], which joints may change too
 
     Each of these but the axes is a design variable where it is given as a torch.nn.Parameter.
 

@@ -1,6 +1,6 @@
 """Applied forces: lists of actions between frames. A new force element is one file and one line here.
 
-Laws of springs stand here too: Friction, Gap, Table, Pieces, Scaled.
+Laws of springs are here too: Friction, Gap, Table, Pieces, Scaled.
 
 >>> stop = mbd.forces.Gap(stiffness=1e4, limit=0.1, sign=-1.0)  # it acts where s > 0.1 m
 >>> [round(stop(torch.tensor(s), torch.tensor(0.0), 0.0).item()) for s in (0.05, 0.11)]  # [N]

@@ -86,8 +86,8 @@ class AxialStop(_Stop):
 
     a, b, axis     the frames, and the axis of frame a along which they slide, as in AxialSpringDamper
     arguments      lower, upper: limits [m], at least one of them; stiffness k [N/m^n], damping c [s/m] (0) and exponent n (1)
-                   of the penalty force k d^n (1 + c d'), d the penetration, which never pulls; and the name of the element
-                   and of its design variables, which all these numbers may be: "stop.upper"
+                   of the penalty force k d^n (1 + c d'), d the penetration, which never pulls; and the name of the element.
+                   All these numbers may be design variables: "stop.upper"
 
     >>> block = mbd.RigidBody("block", 2.0, (0.01, 0.01, 0.01), velocity=(1.0, 0, 0))
     >>> slide = mbd.Prismatic(mbd.Ground().at(), block.at(), axis="x")
@@ -113,7 +113,7 @@ class RotationalStop(_Stop):
                    middle of the limits, or of the only one
     arguments      lower, upper: limits [rad], at least one of them, less than a turn apart; stiffness k [N m/rad^n],
                    damping c [s/rad] (0) and exponent n (1) of the penalty torque k d^n (1 + c d'), d the penetration [rad],
-                   which never pulls; and the name of the element and of its design variables, which all these may be
+                   which never pulls; and the name of the element. All these numbers may be design variables
 
     >>> arm = mbd.RigidBody("arm", 1.0, (0.02, 0.02, 0.02), angular_velocity=(0, 0, 2.0))
     >>> hinge = mbd.Revolute(mbd.Ground().at(), arm.at(), axis="z")

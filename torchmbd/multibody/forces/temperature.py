@@ -68,7 +68,7 @@ class ExpansionVector(Attached):
 
 
 class Temperature(ForceElement):
-    """`Temperature(body, 80.0)`: a change of the temperature [K] of a flexible body, from that at which it has no stress.
+    """`Temperature(body, 80.0)`: a change of the temperature [K] of a flexible body from its stress-free temperature.
 
     body         a flexible body of plates, shells or beams whose plies have coefficients of expansion
     temperature  at z = 0, the surface of the nodes [K]: a number, or a torch function of time, [] [s] -> [] [K]; a design

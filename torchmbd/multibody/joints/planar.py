@@ -10,7 +10,7 @@ from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
 class Planar(Joint):
-    """`Planar(a, b, normal="z")`: the point of b stays in the plane of frame a across `normal`; b turns about the normal.
+    """`Planar(a, b, normal="z")`: the point of b stays in the plane of frame a with this `normal`; b turns about it.
 
     name    of the joint in reactions and messages; None: made of the kind and the bodies
 

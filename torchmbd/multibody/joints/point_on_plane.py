@@ -10,7 +10,7 @@ from torchmbd.multibody.joints.primitive import Plane
 
 
 class PointOnPlane(Joint):
-    """`PointOnPlane(a, b, normal="z")`: the point of b stays in the plane through frame a across `normal`. One equation.
+    """`PointOnPlane(a, b, normal="z")`: the point of b stays in the plane of frame a with this `normal`. One equation.
 
     name    of the joint in reactions and messages; None: made of the kind and the bodies
 

@@ -20,8 +20,8 @@ class Universal(Joint):
 
     The first arm of the cross is fixed to body a, and the second arm to body b. If the shafts are at an angle at the start,
     choose the letters, or the axes of frame a, so that the second arm is perpendicular to both shafts. Otherwise the cross is
-    skewed, and the motion differs from a Hooke's joint. A second frame with axes of its own says where its shaft is: a
-    warning tells the angle by which the cross is skewed.
+    skewed, and the motion differs from a Hooke's joint. If the second frame has its own axes, they give the direction of its
+    shaft, and a warning gives the angle by which the cross is skewed.
 
     name    of the joint in reactions and messages; None: made of the kind and the bodies
 

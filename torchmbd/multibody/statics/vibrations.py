@@ -60,7 +60,7 @@ def frequencies(body: FlexibleBody, supports: Supports | None = None, number: in
               freedom, None for a free one. Nodes: a node, a set, or a tuple of these. None: the reference nodes of the body
               are clamped; {}: it is free
     number    of frequencies
-    Raises InputError where arguments are wrong or the supports leave the body movable.
+    Raises InputError if arguments are wrong, or if the supports leave a rigid-body motion free.
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)

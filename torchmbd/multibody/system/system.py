@@ -64,8 +64,8 @@ class System(nn.Module):
     gravity        acceleration of gravity in ground axes [m/s2]; a torch.nn.Parameter is a design variable, "gravity"
     stabilization  time constant of the constraint stabilization of ODE methods [s]
     free           names of bodies that no joint holds on purpose
-    truncation     share of stiffness that retained modes may have too much at joints and forces before the first motion warns
-                   of it, 0 to 1 (`static_truncation`); None: no check
+    truncation     the first motion warns if the retained modes are too stiff at joints and forces by more than this share, 0
+                   to 1 (`static_truncation`); None: no check
 
     >>> ground, bob = mbd.Ground(), mbd.RigidBody("bob", 1.0, (0.01, 0.01, 0.01), position=(0, -1, 0))
     >>> hinge = mbd.Revolute(ground.at(), bob.at(0, 1, 0), axis="z", name="hinge")
@@ -236,7 +236,7 @@ class System(nn.Module):
 
     @exclusive
     def static_truncation(self) -> StaticTruncation | None:
-        """The largest lack of flexibility at joints and forces that the retained modes cause in the present design
+        """The largest lack of flexibility at joints and forces, in the present design, that the retained modes cause
         (truncation.py); None where no joint and no force acts on a flexible body of known stiffness.
 
         >>> found = mbd.examples.arm().static_truncation()

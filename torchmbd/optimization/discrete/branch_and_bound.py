@@ -250,7 +250,7 @@ def optimize_discrete(
     problem        as in `optimize`
     allowed        one entry per variable, an increment in its unit, a list of values, or None (continuous); one increment
                    applies to all [rad for angles: mbd.deg(5)]
-    max_boxes      boxes searched at most; where others are left that may hold a better design, the status is "max_boxes"
+    max_boxes      largest number of boxes that are searched; if others may contain a better design, the status is "max_boxes"
     max_neighbors  largest number of neighbors within two increments per variable; if there are more, the certificate covers
                    only neighbors whose increments add up to two
     admits         rules that a design [n] on the values must keep, such as those of a laminate; rounding then takes the

@@ -241,7 +241,7 @@ class Processes(Workers):
         return None if problem is None else self.for_problem(problem)
 
     def wait(self) -> None:
-        """Wait until every process has the problem and has computed what all its motions share."""
+        """Wait until every process has the problem and has prepared its motions."""
         self._client.run(_warm_up, *self.factory)
 
 

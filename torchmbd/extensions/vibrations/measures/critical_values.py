@@ -231,7 +231,7 @@ def _seen_from_ground(
 
 @dataclass(frozen=True)
 class StabilityLimit(OfVibrations):
-    """The least value [lanes] of a parameter, in its unit, at which vibrations begin to grow: a flutter load or speed.
+    """The smallest value [lanes] of a parameter, in its unit, at which vibrations begin to grow: a flutter load or speed.
 
     parameter   name of a parameter of the system of one number, such as "push.x"; "speed": of rotation [rad/s]
     between     (lowest, highest) value that is searched

@@ -54,10 +54,10 @@ class FrequencyResponse(OfVibrations):
     output      name of a joint, for its angle [rad] or travel [m]; or name of a body, for the position of a point [m]
     input       name of a joint, in which a motor acts [N m] or [N]; or of a body on which a force acts [N]
     band        (lowest, highest) frequency [Hz]
-    direction   of the position: "x", "y", "z" of the ground; None: output is a joint. Across the axis of a rotation it needs
-                observer="ground", because an observer who turns sees it turn
+    direction   of the position: "x", "y", "z" of the ground; None: output is a joint. Perpendicular to the axis of a rotation
+                it needs observer="ground", because it rotates for an observer who turns
     place       of the point: a node of a flexible body, or (x, y, z) on a rigid one [m]; None: its origin
-    input_direction, input_place   of the force, as in the position
+    input_direction, input_place   of the force, as for the position
     quantity    "displacement", or its rates "velocity", "acceleration"
     speed       of rotation [rad/s]
     axis, center, observer   of the rotation, as in OfVibrations

@@ -95,8 +95,8 @@ class SystemFrequency(OfVibrations):
     cluster  numbers instead, as (2, 3): the power mean of these, which is smooth where they cross or coincide
     power    of that mean, as in Frequencies
     speed    of rotation [rad/s]
-    follow   the number is that in the system as it was built; in each design it is the vibration with this shape, also where
-             another has crossed it. A design in which none is surely like it fails (followed_vibrations.py)
+    follow   True: `number` counts in the system as it was built; each design has the vibration with this shape, also after a
+             crossing. A design without a vibration that is clearly like it fails (followed_vibrations.py)
     axis, center, observer   of the rotation, as in OfVibrations
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.01, steps=2)
@@ -145,8 +145,8 @@ class DampingRatio(OfVibrations):
 
     number   of the pole, among poles whose imaginary part is at least 1 % of |s|; 1 has the smallest imaginary part
     speed    of rotation [rad/s]
-    follow   as in SystemFrequency. Without it, two poles with nearly the same imaginary part are told apart by its order
-             alone
+    follow   as in SystemFrequency. Without it, two poles with nearly the same imaginary part are distinguished only by its
+             order
     axis, center, observer   of the rotation, as in OfVibrations
 
     >>> body = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
