@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import torchmbd as mbd
+from torchmbd import process
 from torchmbd.errors import InputError
 from torchmbd.process import ONE_THREAD, _least_quota, brief_warnings, cores, imports, thread_count, worker_threads
 
@@ -124,3 +125,29 @@ def test_a_warning_is_said_once_without_the_code_that_gave_it(capsys):
         for text in ("too few: 1037 steps", "too few: 1.3e+03 steps", "something else"):
             warnings.warn(text, stacklevel=1)
     assert capsys.readouterr().err.splitlines() == ["warning: too few: 1037 steps", "warning: something else"]
+
+
+def test_available_memory_is_that_of_this_machine():
+    import psutil
+
+    total = psutil.virtual_memory().total
+    assert process.installed_memory() <= 1.01 * total
+    assert 0.2 * psutil.virtual_memory().available <= process.available_memory() <= process.installed_memory()
+
+
+@pytest.mark.parametrize(
+    ("group", "file", "folder"),
+    [
+        ("0::/system.slice/slurmstepd.scope/job_7/step_0", "memory.max", "system.slice/slurmstepd.scope/job_7"),
+        ("4:cpuset,memory:/slurm/job_7/step_0", "memory.limit_in_bytes", "memory/slurm/job_7"),
+    ],
+)
+def test_the_limit_of_a_job_is_that_of_its_control_group(tmp_path, monkeypatch, group, file, folder):
+    """SLURM limits a job by a group of its own, below the root; its steps have no limit of their own."""
+    (tmp_path / folder / "step_0").mkdir(parents=True)
+    (tmp_path / folder / file).write_text("123456\n")
+    (tmp_path / folder / "step_0" / file).write_text("max\n")
+    (tmp_path / "groups").write_text(f"3:cpuacct:/elsewhere\n{group}\n")
+    monkeypatch.setattr(process, "_CONTROL_GROUPS", tmp_path)
+    monkeypatch.setattr(process, "_OF_PROCESS", tmp_path / "groups")
+    assert process.installed_memory() == 123456.0

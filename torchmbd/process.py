@@ -1,4 +1,4 @@
-"""How a process of torchmbd uses the machine: threads, a folder for what serves all processes, brief warnings.
+"""How a process of torchmbd uses the machine: threads, memory, a folder for what serves all processes, brief warnings.
 
 An operator of torch uses one thread. Compiled code and modes of groups of designs (math/threads.py) share `thread_count()`
 threads, and give the same bits with any number.
@@ -8,6 +8,7 @@ Checked in tests/test_process.py, tests/extensions/native/test_threads.py.
 from __future__ import annotations
 
 import gc
+import math
 import os
 import re
 import sys
@@ -22,6 +23,7 @@ from torchmbd.errors import InputError
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 THREADS = "TORCHMBD_THREADS"
+_CONTROL_GROUPS, _OF_PROCESS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 _stated: list[int] = []  # the number of `threads`, if it was called
 
 
@@ -180,3 +182,52 @@ def utf8(text: str) -> str:
 def file_of(text: str) -> Path:
     """Return the path of a file whose name is written in UTF-8, in the encoding of the locale."""
     return Path(os.fsdecode(text.encode("utf-8", "surrogateescape")))
+
+
+def installed_memory() -> float:
+    """Bytes of the machine, or of the container or job that this process runs in; inf where that is unknown."""
+    try:
+        machine = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not POSIX
+        machine = math.inf
+    return min([machine, *_control_group_limits()])
+
+
+def _control_group_limits() -> list[float]:
+    """Limits [bytes] of the control groups that this process is in, of versions 1 and 2, as in containers and SLURM jobs."""
+    groups = _OF_PROCESS.read_text().splitlines() if os.access(_OF_PROCESS, os.R_OK) else []
+    files: dict[Path, None] = {}
+    for group in ["0::/", "0:memory:/", *groups]:  # number:controllers:path; a container may see the root only
+        _, controllers, path = group.split(":", 2)
+        version_1 = "memory" in controllers.split(",")
+        if controllers and not version_1:
+            continue
+        root = _CONTROL_GROUPS / "memory" if version_1 else _CONTROL_GROUPS
+        bottom = root / path.lstrip("/")
+        folders = [folder for folder in (bottom, *bottom.parents) if folder.is_relative_to(root)]
+        files |= dict.fromkeys(x / ("memory.limit_in_bytes" if version_1 else "memory.max") for x in folders)
+    limits = [file.read_text().strip() for file in files if os.access(file, os.R_OK)]
+    return [float(limit) for limit in limits if limit.isdigit()]
+
+
+def available_memory() -> float:
+    """Bytes that are free, and those that this process holds already: it uses them again."""
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        process_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:  # not Linux
+        return installed_memory()
+    [free] = [int(line.split()[1]) * 1024.0 for line in lines if line.startswith("MemAvailable:")]
+    return min(free + process_bytes, installed_memory())
+
+
+def rounded_down(count: int) -> int:
+    """Down to two figures: what is available changes from one moment to the next."""
+    unit = 10 ** max(len(str(count)) - 2, 0)
+    return count // unit * unit
+
+
+def bytes_text(count: float) -> str:
+    """Bytes in a fitting unit: `3.2 GB`."""
+    power = min(max(int(math.log10(max(count, 1.0)) // 3), 2), 6)
+    return f"{count / 1e3**power:.2g} {('MB', 'GB', 'TB', 'PB', 'EB')[power - 2]}"

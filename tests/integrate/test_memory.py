@@ -71,7 +71,7 @@ def test_default_steps_that_do_not_fit_are_refused():
 
 
 def test_what_is_said_to_fit_fits(monkeypatch):
-    monkeypatch.setattr(memory, "available", lambda: 1e9)
+    monkeypatch.setattr(memory, "available_memory", lambda: 1e9)
     system = build()
     with pytest.raises(InputError, match=r"about 1\.. GB of memory, 1 GB are available") as caught:
         memory.require_memory(system, 1, 500_000)
@@ -83,7 +83,7 @@ def test_what_is_said_to_fit_fits(monkeypatch):
 
 @pytest.mark.thorough
 def test_lanes_that_do_not_fit_are_refused(monkeypatch):
-    monkeypatch.setattr(memory, "available", lambda: 1e9)
+    monkeypatch.setattr(memory, "available_memory", lambda: 1e9)
     designs = {"rod.laminate.angles": torch.zeros(20_000, 2, dtype=torch.float64)}
     with pytest.raises(InputError, match=r"designs have 20000 lanes, of 60 steps: .* allowed: up to \d+ lanes at once"):
         mbd.simulate(build(), 0.01, steps=60, designs=designs)
@@ -91,7 +91,7 @@ def test_lanes_that_do_not_fit_are_refused(monkeypatch):
 
 @pytest.mark.thorough
 def test_a_body_that_does_not_fit_is_refused(monkeypatch):
-    monkeypatch.setattr(memory, "available", lambda: 1e5)
+    monkeypatch.setattr(memory, "available_memory", lambda: 1e5)
     with pytest.raises(InputError, match=r"system is too large: one design takes about .* allowed: smaller meshes"):
         mbd.simulate(build(), 0.01, steps=60)
 
@@ -102,7 +102,7 @@ def test_a_problem_evaluates_any_number_of_designs_in_batches_that_fit(monkeypat
     X = np.linspace(-1.0, 1.0, 22).reshape(11, 2)
     expected = problem.evaluate(X, True)
     one = memory.lane_bytes(problem.system, 24, 2)
-    monkeypatch.setattr(memory, "installed", lambda: 4.0 * (3.5 * one + 25 * 3000))
+    monkeypatch.setattr(memory, "installed_memory", lambda: 4.0 * (3.5 * one + memory._shared(problem.system, 24)))
     sizes = []
     simulate = problem.simulate
     monkeypatch.setattr(problem, "simulate", lambda X, gradients: sizes.append(len(X)) or simulate(X, gradients))
@@ -125,29 +125,3 @@ def test_twenty_thousand_starts_are_never_one_batch(monkeypatch):
     monkeypatch.setattr(problem, "evaluate", evaluate)
     assert mbd.multistart(problem, starts=mbd.sobol(20_000, seed=1)).interrupted
     assert sizes == [64]
-
-
-def test_available_memory_is_that_of_this_machine():
-    import psutil
-
-    total = psutil.virtual_memory().total
-    assert memory.installed() <= 1.01 * total
-    assert 0.2 * psutil.virtual_memory().available <= memory.available() <= memory.installed()
-
-
-@pytest.mark.parametrize(
-    ("group", "file", "folder"),
-    [
-        ("0::/system.slice/slurmstepd.scope/job_7/step_0", "memory.max", "system.slice/slurmstepd.scope/job_7"),
-        ("4:cpuset,memory:/slurm/job_7/step_0", "memory.limit_in_bytes", "memory/slurm/job_7"),
-    ],
-)
-def test_the_limit_of_a_job_is_that_of_its_control_group(tmp_path, monkeypatch, group, file, folder):
-    """SLURM limits a job by a group of its own, below the root; its steps have no limit of their own."""
-    (tmp_path / folder / "step_0").mkdir(parents=True)
-    (tmp_path / folder / file).write_text("123456\n")
-    (tmp_path / folder / "step_0" / file).write_text("max\n")
-    (tmp_path / "groups").write_text(f"3:cpuacct:/elsewhere\n{group}\n")
-    monkeypatch.setattr(memory, "_CONTROL_GROUPS", tmp_path)
-    monkeypatch.setattr(memory, "_OF_PROCESS", tmp_path / "groups")
-    assert memory.installed() == 123456.0

@@ -17,7 +17,7 @@ from torch import Tensor
 from torchmbd.math.linear_map import Sums
 from torchmbd.math.sparse import Pattern
 
-AT_ONCE = 2**20  # entries whose sums are found together
+AT_ONCE = 2**17  # entries whose sums are found together
 
 
 class CellBlocks:

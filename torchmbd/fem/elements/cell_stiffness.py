@@ -63,8 +63,8 @@ class CellStiffness:
         place = torch.zeros(f, f, dtype=torch.long)
         place[self.upper[0], self.upper[1]] = torch.arange(self.upper.shape[1])
         self.entry_index = place.maximum(place.mT)
-        self.basis = _basis(strains)[:, :, self.upper[0], self.upper[1]]
-        self.counts = torch.bincount(self.shape, minlength=len(self.basis)).tolist()
+        self.basis = _basis(strains, self.upper)
+        self.counts = torch.bincount(self.shape, minlength=self.basis.shape[1]).tolist()
         forces = strains.forces
         self.inner = None
         if forces is not None:
@@ -97,9 +97,9 @@ class CellStiffness:
     def __call__(self, entries: Float[Tensor, "lanes z 21"], *law: Tensor) -> Float[Tensor, "lanes numbers"]:
         """Numbers of all variants."""
         if self.laminates == 1:
-            numbers = (entries[:, 0] @ self.basis.transpose(0, 1).flatten(1)).unflatten(1, (len(self.basis), -1))
+            numbers = (entries[:, 0] @ self.basis.flatten(1)).unflatten(1, (-1, self.each))
         else:
-            parts = zip(entries[:, self.laminate].split(self.counts, 1), self.basis, strict=True)
+            parts = zip(entries[:, self.laminate].split(self.counts, 1), self.basis.unbind(1), strict=True)
             numbers = torch.cat([values @ basis for values, basis in parts], 1)
         if self.inner is not None:
             numbers = numbers + self.inner.stiffness(law[0])[..., self.upper[0], self.upper[1]]
@@ -122,9 +122,9 @@ class CellStiffness:
         """Return the adjoint: cotangents of entries and law from those of the numbers."""
         y = y.unflatten(1, (len(self.laminate), -1))
         if self.laminates == 1:
-            entries = (y.flatten(1) @ self.basis.transpose(0, 1).flatten(1).mT)[:, None]
+            entries = (y.flatten(1) @ self.basis.flatten(1).mT)[:, None]
         else:
-            parts = zip(y.split(self.counts, 1), self.basis, strict=True)
+            parts = zip(y.split(self.counts, 1), self.basis.unbind(1), strict=True)
             each = torch.cat([values @ basis.mT for values, basis in parts], 1)
             entries = each.new_zeros(len(y), self.laminates, len(ENTRIES)).index_add(1, self.laminate, each)
         if self.inner is None:
@@ -135,14 +135,15 @@ class CellStiffness:
         return [entries, self.inner.adjoint(full)]
 
 
-def _basis(strains: Strains) -> Float[Tensor, "shapes 21 f f"]:
-    """sum_points weight E' C_i E of every entry i."""
+def _basis(strains: Strains, upper: Int[Tensor, "2 h"]) -> Float[Tensor, "21 shapes h"]:
+    """sum_points weight E' C_i E of every entry i: the upper triangles."""
     weighted = strains.at * strains.weight[..., None, None]
-    rows = []
-    for name, i, j in ENTRIES:
+    basis = strains.at.new_empty(len(ENTRIES), len(strains.at), upper.shape[1])
+    for numbers, (name, i, j) in zip(basis, ENTRIES, strict=True):
         p0, q0 = _FIRST_ROW[name]
         pairs = sorted({(p0 + i, q0 + j), (p0 + j, q0 + i)})  # two, where i differs from j
         first, second = [p for p, _ in pairs], [q for _, q in pairs]
         matrix = weighted[:, :, first].flatten(1, 2).mT @ strains.at[:, :, second].flatten(1, 2)
-        rows.append(matrix + matrix.mT if name == "B" else matrix)  # B stands in C twice, above and below the diagonal
-    return torch.stack(rows, 1)
+        matrix = matrix + matrix.mT if name == "B" else matrix  # B stands in C twice, above and below the diagonal
+        numbers[:] = matrix[:, upper[0], upper[1]]
+    return basis

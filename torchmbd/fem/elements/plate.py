@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -37,7 +38,7 @@ from torchmbd.fem.mesh import Mesh, directed_area
 from torchmbd.math.distinct_rows import distinct_rows
 from torchmbd.math.gradients import in_transform, is_differentiated, untransformed
 from torchmbd.math.linear_map import Sums, apply_linear
-from torchmbd.math.sparse import SparseMatrix
+from torchmbd.math.sparse import Pattern, SparseMatrix
 
 _SAME = 1e-9  # of constants: what rounding makes of a mean
 
@@ -92,7 +93,6 @@ class _Numbers(NamedTuple):
 class PlateMatrices:
     """Stiffness and tributary areas of the cells of a mesh, computed once per mesh but for the laminate.
 
-    pattern   where K is not zero
     area      [n] tributary area of each node [m2]: lumped mass = mass_per_area * area,
               nodal rotary inertia = rotary_inertia_per_area * area
     kinds     the cells of each kind that there are
@@ -136,21 +136,36 @@ class PlateMatrices:
         nodes, area, *_ = self.covering_triangles
         thirds = (area / 3.0)[:, None].expand(-1, 3).flatten()
         self.area = area.new_zeros(len(mesh.nodes)).index_add(0, nodes.flatten(), thirds)
-        self._blocks = CellBlocks([group.corners for group in self.kinds.values()], len(self.mesh.nodes))
-        self.pattern = self._blocks.pattern
-        self._prepare_variants()
         self._maps: list[
             tuple[Tensor | None, _Numbers]
         ] = []  # for each choice of entries, of a body and its load cases
 
-    def _prepare_variants(self) -> None:
-        """Find the variants of cells, and the first number of each cell."""
-        self.variants: list[tuple[CellStiffness, Tensor]] = []  # of each kind: its matrices, and which one a cell has
+    @property
+    def numbers(self) -> int:
+        """How many numbers the matrices of all shapes of cells have, for each entry of a laminate: most of the memory of a
+        curved shell. It is known before they are computed."""
+        strains = [group.strains.at for group in self.kinds.values()]
+        return sum(len(ENTRIES) * len(x) * x.shape[-1] * (x.shape[-1] + 1) // 2 for x in strains)
+
+    @cached_property
+    def _blocks(self) -> CellBlocks:
+        return CellBlocks([group.corners for group in self.kinds.values()], len(self.mesh.nodes))
+
+    @property
+    def pattern(self) -> Pattern:
+        """Where K is not zero."""
+        return self._blocks.pattern
+
+    @cached_property
+    def variants(self) -> list[tuple[CellStiffness, Tensor]]:
+        """Of each kind: the matrices of its variants, and the variant of each cell."""
+        variants = []
         laminates = self.zones.split([len(group.shape) for group in self.kinds.values()])
         for group, laminate in zip(self.kinds.values(), laminates, strict=True):
             example, variant = distinct_rows(torch.stack([group.shape, laminate], 1))
-            variants = torch.stack([group.shape, laminate], 1)[example]
-            self.variants.append((CellStiffness(group.strains, variants, self.laminates), variant))
+            which = torch.stack([group.shape, laminate], 1)[example]
+            variants.append((CellStiffness(group.strains, which, self.laminates), variant))
+        return variants
 
     def _map(self, entries: Tensor | None) -> _Numbers:
         """The map to chosen entries of the pattern; None: to all."""

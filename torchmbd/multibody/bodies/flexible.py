@@ -38,6 +38,7 @@ from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.math.sparse import SparseMatrix
+from torchmbd.multibody.bodies.body_memory import require_memory
 from torchmbd.multibody.bodies.expansion import Expansion
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.flexible_beam import FlexibleBeam
@@ -141,6 +142,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
                     state="vary, and some are linked",
                 )
             self.add_module("line", mesh.node_module)  # pyright: ignore[reportAttributeAccessIssue]
+        require_memory(name, len(mesh.nodes), joined.values(), modes)
         self._register(parts)
         self.assembly = Assembly(mesh, joined, self.reference, links, interfaces.means)
         self.free = self.assembly.freedoms.free
