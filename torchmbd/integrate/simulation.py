@@ -45,7 +45,15 @@ from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.phase import ONE_PHASE, Phase
-from torchmbd.integrate.phases.segment import DURATION, actions_of, is_single, segments_of, times_of
+from torchmbd.integrate.phases.segment import (
+    DURATION,
+    Segment,
+    actions_of,
+    check_order,
+    is_single,
+    segments_of,
+    times_of,
+)
 from torchmbd.integrate.registry import DEFAULT, integrator_of
 from torchmbd.integrate.repetition import Repetition
 from torchmbd.integrate.reverse_integration import ReverseIntegration
@@ -68,7 +76,8 @@ class _Preparation(NamedTuple):
     """Parts of a simulation that follow from the topology of its system.
 
     topology, stabilization   of the system when it was prepared
-    system                    the same with the start of the motions
+    system                    the same with the start of the motions;  whole: with the locks of its phases as well
+    segments                  of the phases
     is_single                 whether there is one segment, in which all joints and laws act
     """
 
@@ -76,6 +85,8 @@ class _Preparation(NamedTuple):
     stabilization: float
     start: Start
     system: System
+    whole: System
+    segments: list[Segment]
     integrator: Integrator
     is_single: bool
 
@@ -188,7 +199,8 @@ class Simulation(Summary):
             whole, segments = _segments(from_start, self.phases, self.seconds)
         integrator = self._integrator.with_defaults(from_start.topology)
         single = is_single(segments, whole.topology)
-        self._known = _Preparation(system.topology, system.stabilization, start, from_start, integrator, single)
+        of_system = system.topology, system.stabilization
+        self._known = _Preparation(*of_system, start, from_start, whole, segments, integrator, single)
         return self._known
 
     @exclusive
@@ -214,6 +226,7 @@ class Simulation(Summary):
             warn_static_truncation(system)
             by_duration = duration_is_differentiated(self.duration, gradients, integrator)
             check_phase_times(phases, gradients, integrator)
+            check_order(phases, seconds)
             warn_of_jumps(system, seconds, steps, integrator, phases, by_duration)
             by_times = by_duration or any(phase.time is not None for phase in phases)
             names = variable_names(system, design_values, gradients, variables, by_times)
@@ -286,9 +299,10 @@ class Simulation(Summary):
         model, integrator = prepared.system, prepared.integrator
         phases, seconds = self.phases, self.seconds
         assert isinstance(integrator, OneStep)
-        system, _ = _segments(model, phases, seconds)
+        system, segments = prepared.whole, prepared.segments
         dynamics, shapes = system.stages(batch)
-        system, segments = _segments(model.with_modes(dynamics.topology.mode_counts), phases, seconds)
+        if (of_modes := model.with_modes(dynamics.topology.mode_counts)) is not model:
+            system, segments = _segments(of_modes, phases, seconds)
         dynamics = replace(system.equations(), data=dynamics.data)
         data = dynamics.data | times_of(segments)
         if isinstance(duration, Tensor):

@@ -53,7 +53,7 @@ def run_blocks(
     """
     if not blocks:
         return 0
-    most = getattr(_team, "threads", None) or thread_count()
+    most = 1 if blocks == 1 else getattr(_team, "threads", None) or thread_count()
     count = min(most if threads is None else threads, blocks)
     memory = [torch.empty(-(-scratch // 8), dtype=torch.float64) for _ in range(count)]
     if count == 1:

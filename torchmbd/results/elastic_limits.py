@@ -147,6 +147,8 @@ def _is_stiffened(motion: Trajectory, name: str) -> bool:
 
 def name_causes(motion: Trajectory) -> None:
     """Append to the status of each lane whose motion broke off the spin or the displacements that likely caused it."""
+    if not any(has_failed(status) for status in motion.status):
+        return
     spins, displacements = motion.stats["spin_ratio"], displacement_ratios(motion)
     complete = (
         torch.isfinite(motion.q).flatten(1).all(1)

@@ -31,6 +31,8 @@ def flat_values(dynamics: Dynamics) -> Tensor:
 def flat_tangents(dynamics: Dynamics) -> Tensor:
     """Their tangents [n, n_b, lanes]."""
     lanes, n_b = dynamics.lanes, dynamics.tangents
+    if not n_b:
+        return torch.zeros(0, 0, lanes, dtype=torch.float64)
 
     def tangents(x: Any) -> Tensor:
         tangent = x.tangent if isinstance(x, Pair) else x.new_zeros(len(x), n_b, 1)

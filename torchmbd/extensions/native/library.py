@@ -71,7 +71,6 @@ _BLOCKS: list[Any] = [
 #: Functions of all libraries that Python calls: arguments, where these are not one `Job`, and the type of the result.
 _PROTOTYPES: dict[str, tuple[list[Any] | None, Any]] = {
     "needed": (None, ctypes.c_char_p),
-    "check_factors": (_BLOCKS, _COUNT),
     "run_steps": (_BLOCKS, _COUNT),
     "steps_scratch": ([_MECHANISM, _COUNT], _COUNT),
     "steps_factors": ([_MECHANISM], _COUNT),
@@ -98,8 +97,7 @@ def obstacle(dynamics: Dynamics, work: Sequence[str]) -> str | None:
         return f"a law of a force cannot be compiled: {error}"
     if not work:
         return None
-    _load(known, work)
-    return _failed.get(key(known, work[0]))
+    return _failed.get(_load(known, work)[0])
 
 
 @dataclass(frozen=True)
@@ -147,9 +145,7 @@ class Library:
 def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
     """The library of a system, built if it is missing; None: operators of torch serve, with one warning."""
     known = with_traced_laws(dynamics)
-    name = key(known, kind)
-    if name not in _loaded:
-        _load(known, [kind])
+    [name] = _load(known, [kind])
     if name in _failed and name not in _warned:
         _warned.add(name)
         warn(f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}")
@@ -169,11 +165,11 @@ def _mechanism(T: Topology, known: Dynamics, kind: str, name: str, code: ctypes.
     return mechanisms[name]
 
 
-def _load(dynamics: Dynamics, kinds: Sequence[str]) -> None:
-    """Load libraries; those that are missing are built first, in parallel."""
+def _load(dynamics: Dynamics, kinds: Sequence[str]) -> list[str]:
+    """Load libraries; those that are missing are built first, in parallel. Return their names."""
     missing: dict[str, str] = {}
-    for kind in kinds:
-        name = key(dynamics, kind)
+    names = [key(dynamics, kind) for kind in kinds]
+    for kind, name in zip(kinds, names, strict=True):
         if name in _loaded or name in _failed:
             continue
         code = _loaded_library(_path(name, kind))
@@ -182,7 +178,7 @@ def _load(dynamics: Dynamics, kinds: Sequence[str]) -> None:
         else:
             _loaded[name] = code
     if not missing:
-        return
+        return names
     system = ", ".join(dynamics.topology.names)
     with stage("compiling"), ThreadPoolExecutor(len(missing)) as pool:
         texts = [functions.source(data.kind_of(dynamics), kind) for kind in missing]  # tracing is of one thread
@@ -192,6 +188,7 @@ def _load(dynamics: Dynamics, kinds: Sequence[str]) -> None:
                 _failed[name] = why or f"{path} cannot be loaded"
             else:
                 _loaded[name] = code
+    return names
 
 
 def _loaded_library(path: Path) -> ctypes.CDLL | None:

@@ -3,15 +3,17 @@
 // Before this text stand factors.cpp, feedback.cpp and, generated,
 //   signals, residual, finish, matrix, boundary, signal_tangents, residual_tangent, finish_tangent      (functions.py)
 // A block is LANES lanes. Arrays of a block: state [column][number], data [number], tangents of data [tangent][number].
-// `check_factors` comes first where there are no factors yet, and where they are checked: 1 if they cannot be relied on. Both work
-// on blocks from `begin` to `end`, which share nothing, with scratch memory of the thread; 2 where what was called back raised.
+// `run_steps` works on blocks from `begin` to `end`, which share nothing, with scratch memory of the thread. Its status is 1 where
+// new factors, or those of every CHECK steps, cannot be relied on: then the steps count for nothing; 2 where what was called back
+// raised.
 
-constexpr int MOST = 4, MORE = 6;     // as in stepper.py
-constexpr double PRECISE = 1e-6;      // as in stepper.py
+constexpr int MOST = 4, MORE = 6, CHECK = 25;  // as in stepper.py
+constexpr double PRECISE = 1e-6;               // as in stepper.py
+constexpr double ITERATION_ERROR = 1e-2;       // as in statistics.py
 
 struct Job {
   long lanes, n_b, data, data_tangents, prescribed;              // numbers of each
-  long first, steps, corrections, most, refresh, check, fresh;  // refresh: -1 as 0, from a uniform motion; check: factors and tangents; fresh: no factors yet
+  long first, steps, corrections, most, refresh, fresh;          // refresh: -1 as 0, from a uniform motion; fresh: no factors yet
   long moving;                                                   // the last of the data, which change from step to step
   long tables;                                                   // blocks of what is prescribed: all, or one that all lanes share
   const double *shared;                                          // [steps][tables][prescribed][LANES], weights and what drives prescribe
@@ -25,7 +27,7 @@ struct Job {
   const Mechanism *mechanism;
   const double *passes;                                          // [block][LANES], corrections of tangents; `most` of all
   const Feedback *feedback;                                      // or null
-  const double *counted;                                         // [block][LANES]: 0 of lanes without a motion, 1, 2: iterations converge
+  double *counted;                                               // [block][LANES]: 0 of lanes without a motion, 1, 2: iterations converge; in and out
   double *scale;                                                 // [block][LANES], largest accelerations so far, in and out
 };
 
@@ -98,21 +100,14 @@ struct Work {
   }
 };
 
-extern "C" long check_factors(const Job* job, long begin, long end, double* scratch) {
-  const Job& J = *job;
-  const Mechanism& m = *J.mechanism;
-  Work work(J, (V*)scratch);
-  In& in = work.in;
-  for (long block = begin; block < end; block++) {
-    move(J, 0, block);
-    point_data(in, (const V*)J.values + block * J.data);
-    in.x = (const V*)J.state + block * (1 + J.n_b) * work.c.n_x;
-    in.u = prescribed(J, 0, block);
-    start(work.c, in.x, work.z);
-    if (ask(in, m, J.feedback, SLOPES, 0, block)) return 2;
-    if (!reliable(in, m, work.c, J.row_mask, J.diagonal_shift, ((const V*)J.counted)[block], work.trial, work.R)) return 1;
-  }
-  return 0;
+// Marks the lanes of a block whose iterations did not converge in steps from `begin` to `end`.
+static void mark_divergent(const Job& J, long begin, long end, long block, int valid, const V& scale, V& counted) {
+  for (long i = begin; i < end; i++)
+    for (int l = 0; l < valid; l++) {
+      const double *before = J.sizes + 3 * i * J.lanes + block * LANES + l, last = before[J.lanes];
+      if (counted[l] == 2.0 && !(last * last <= ITERATION_ERROR * scale[l] * *before)) counted[l] = 1.0;
+    }
+  for (int l = valid; l < LANES; l++) counted[l] = counted[valid - 1];
 }
 
 extern "C" long run_steps(const Job* job, long begin, long end, double* scratch) {
@@ -132,13 +127,23 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
     point_data(in, (const V*)J.values + block * J.data);
     const V passes = ((const V*)J.passes)[block];
     V& scale = ((V*)J.scale)[block];
+    V& counted = ((V*)J.counted)[block];
     bool fresh = J.fresh;
+    long marked = 0;
     for (long i = 0; i < J.steps; i++) {
       in.u = prescribed(J, i, block);
       move(J, i, block);
       in.x = state;
       in.next = next;
       in.R = R;
+      const bool checks = (J.first + i) % CHECK == 0;
+      if (checks || fresh) {
+        mark_divergent(J, marked, i, block, valid, scale, counted);
+        marked = i;
+        start(c, state, z);
+        if (ask(in, m, J.feedback, SLOPES, i, block)) return 2;
+        if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, counted, trial, R)) return 1;
+      }
       const bool always = J.refresh <= 0, due = always || (J.first + i) % J.refresh == 0;
       if (J.refresh < 0)
         start_uniformly(c, state, in.u, z);
@@ -165,7 +170,6 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
       }
       const V reached = largest(z, c.n_v);
       scale = reached > scale ? reached : scale;
-      const V counted = ((const V*)J.counted)[block];
       V open = counted != 0.0 ? imprecise(before, last_size, scale) : spread(0.0);
       V further = spread(0.0);
       for (long k = 0; k < MORE && any(open); k++) {  // of some lanes alone, each with a matrix of its own
@@ -194,7 +198,6 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
         point_data_tangents(in, tangents + s * J.data_tangents);
         in.dz = ds;
         start(c, in.dx, ds);
-        const bool checks = J.check && i == 0;
         for (long k = 0; k < J.most + checks + (begins ? MOST : 0); k++) {
           if (m.called) {
             signal_tangents(in);
@@ -224,6 +227,7 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
         for (long n = 0; n < c.rows; n++) put(J.lam + ((i * c.rows + n) * (1 + S) + s) * L + at, x[c.n_q + 3 * c.n_v + n], valid);
       }
     }
+    mark_divergent(J, marked, J.steps, block, valid, scale, counted);
   }
   return 0;
 }

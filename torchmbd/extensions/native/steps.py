@@ -1,7 +1,7 @@
 """Steps of one-step methods by compiled code (library.py): the same numbers as by EagerStepper (stepper.py).
 
 Lanes go in blocks (simd_layout.py), each through many steps at a time, so that a block's numbers stay near the processor; one
-call of the library makes all steps of some blocks between two checks of the tangents. Threads share the blocks
+call of the library makes all steps of some blocks between two checks of the tangents, or CALL of them. Threads share the blocks
 (math/threads.py), unless laws are called back: these run in the calling thread.
 Checked in tests/extensions/native/test_steps.py, test_threads.py.
 """
@@ -25,7 +25,6 @@ from torchmbd.extensions.native.simd_layout import (
     varied_blocks,
 )
 from torchmbd.integrate.lanes import expanded
-from torchmbd.integrate.statistics import ITERATION_ERROR
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import CHECK, EagerStepper
 from torchmbd.math.pair import Pair, value
@@ -37,10 +36,11 @@ from torchmbd.results.history import Record
 from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "n_b", "data", "data_tangents", "prescribed", "first", "steps", "corrections", "most", "refresh")
-_NUMBERS += ("check", "fresh", "moving", "tables")
+_NUMBERS += ("fresh", "moving", "tables")
 _ARRAYS = ("shared", "state", "values", "tangents", "factors", "row_mask", "diagonal_shift", "q", "v", "vd", "lam")
 _ARRAYS += ("sizes", "errors")
 _ARRAYS += ("moved", "mechanism", "passes", "feedback", "counted", "scale")
+CALL = 10 * CHECK  # steps of a call without tangents: progress is shown between two calls
 
 
 class Job(ctypes.Structure):
@@ -86,16 +86,16 @@ class NativeStepper(EagerStepper):
             done = part.start
             if self.feedback is not None:
                 self.feedback.times = schedule.t[part]
+            before = state.clone()
             if not self._run_part(state, table[part], moved[part], record, first + done, start + done):
-                return super().run(self._state(state), schedule[done:], record, first + done, start + done)
+                return super().run(self._state(before), schedule[done:], record, first + done, start + done)
             reach(value(schedule.t[part][-1]))
         return self._state(state)
 
     def _run_part(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, start: int) -> bool:
-        """Make steps without a check in between; False if the factors cannot be relied on, and no step is made."""
+        """Make the steps of a call; False if the factors cannot be relied on, and the steps count for nothing."""
         sizes = torch.empty(len(table), 3, self.lanes, dtype=torch.float64)
         errors = torch.empty(3, self.n_b, self.lanes, dtype=torch.float64)
-        check = int(first % CHECK == 0)
         assert self.scale is not None
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
@@ -105,8 +105,8 @@ class NativeStepper(EagerStepper):
         arrays |= {"factors": self.factors, "row_mask": row_mask, "diagonal_shift": diagonal_shift}
         arrays |= {name: x[start:] for name, x in zip(("q", "v", "vd", "lam"), record.parts, strict=True)}
         arrays |= {"sizes": sizes, "errors": errors, "scale": scale}
-        arrays["passes"] = blocks(self.passes[None, None])
-        arrays["counted"] = blocks((self.counts * (1.0 + self.sound))[None, None].double())
+        counted = blocks((self.counts * (1.0 + self.sound))[None, None].double())
+        arrays |= {"passes": blocks(self.passes[None, None]), "counted": counted}
         job = Job(
             lanes=self.lanes,
             n_b=self.n_b,
@@ -118,7 +118,6 @@ class NativeStepper(EagerStepper):
             corrections=self.corrections,
             most=int(self.passes.max()),
             refresh=-1 if self.begins_uniformly else self.refresh,
-            check=check,
             fresh=self.fresh,
             moving=moved.shape[3],
             tables=1,
@@ -134,9 +133,8 @@ class NativeStepper(EagerStepper):
         self.fresh = 0
         self.scale = lanes_out(scale, self.lanes)[0, 0]
         self.sizes.append(sizes)
-        before, last, _ = sizes.unbind(1)
-        self.sound &= (last * last <= ITERATION_ERROR * self.scale * before).all(0)
-        if check and self.n_b:
+        self.sound &= lanes_out(counted, self.lanes)[0, 0] != 1.0
+        if self.n_b and first % CHECK == 0:
             self.check(*errors)
         return True
 
@@ -148,23 +146,19 @@ class NativeStepper(EagerStepper):
 
 
 def make_steps(code: ctypes.CDLL, job: Job, threads: int) -> int:
-    """Make the steps of a job; 1, and no step is made, where factors cannot be relied on; 2 where a law raised."""
+    """Make the steps of a job; 1 where factors cannot be relied on, and the steps count for nothing; 2 where a law raised."""
     blocks, scratch = -(-job.lanes // LANES), code.steps_scratch(job.mechanism, job.n_b)
-    if job.fresh or job.check:
-        status = run_blocks(partial(code.check_factors, ctypes.byref(job)), blocks, threads, scratch)
-        if status:
-            return status
     return run_blocks(partial(code.run_steps, ctypes.byref(job)), blocks, threads, scratch)
 
 
 def _between_checks(count: int, first: int, tangents: int) -> Iterator[slice]:
-    """Steps, the first of number `first`, in runs without a check in between, each a call.
+    """Steps, the first of number `first`, in runs without a check of tangents in between, each a call.
 
     A check may call for more corrections from the next step on, so with tangents its step is a run of its own.
     """
     done = 0
     while done < count:
         since = (first + done) % CHECK
-        end = done + (1 if tangents and not since else min(CHECK - since, count - done))
+        end = min(done + (CALL if not tangents else CHECK - since if since else 1), count)
         yield slice(done, end)
         done = end

@@ -201,14 +201,19 @@ def _compiled() -> Products | None:
     return compiled_products(torch.empty(0, dtype=torch.float64))
 
 
+@cache
+def _has_cvxopt() -> bool:
+    return find_spec("cvxopt") is not None
+
+
 def solves_columns_together() -> bool:
     """Return True if there is compiled code, and cvxopt for the order."""
-    return find_spec("cvxopt") is not None and _compiled() is not None
+    return _has_cvxopt() and _compiled() is not None
 
 
 def library(size: int) -> type[Triangle]:
     """Return the best factorization there is; without cvxopt a warning says what this costs for large bodies."""
-    if find_spec("cvxopt") is not None:
+    if _has_cvxopt():
         return Cholmod if _compiled() is None else Supernodal
     if size >= SLOW:
         _warn_missing()

@@ -107,8 +107,8 @@ def segments_of(system: System, phases: Sequence[Phase], duration: float) -> tup
     """The system with all joints and locks, and its segments; InputError names what a phase cannot have."""
     if not isinstance(phases, (list, tuple)) or not phases or not all(isinstance(phase, Phase) for phase in phases):
         raise InputError("phases", phases, "a list of at least one mbd.Phase")
-    names = [phase.name or str(i) for i, phase in enumerate(phases, 1)]
-    _check_order(phases, names, duration)
+    check_order(phases, duration)
+    names = _names(phases)
     for known, result in system.segments_of_phases:
         if len(known) == len(phases) and all(a is b for a, b in zip(known, phases, strict=True)):
             return result
@@ -218,8 +218,13 @@ def _actions_of_phase(system: System, phase: str, laws: Mapping[str, Law]) -> tu
     return tuple(replace(kind, laws=tuple(laws_of_kind)) for kind, laws_of_kind in changed.items())
 
 
-def _check_order(phases: Sequence[Phase], names: Sequence[str], duration: float) -> None:
+def _names(phases: Sequence[Phase]) -> list[str]:
+    return [phase.name or str(i) for i, phase in enumerate(phases, 1)]
+
+
+def check_order(phases: Sequence[Phase], duration: float) -> None:
     """InputError unless every phase but the last has an end, at increasing times."""
+    names = _names(phases)
     for name, phase in zip(names[:-1], phases[:-1], strict=True):
         if phase.until is None and phase.lasting is None:
             raise InputError(

@@ -52,9 +52,14 @@ class PrescribedBody:
         if self.law is None:
             return self.A[..., None].expand(3, 3, len(times)), self.r[:, None].expand(3, len(times))
         angle = values_at(self.law, times) - self.law(torch.zeros_like(times[0]))
-        turn = torch.sin(angle) * self.spin[..., None] + (1.0 - torch.cos(angle)) * (self.spin @ self.spin)[..., None]
-        A = self.A[..., None] + torch.einsum("ijn,jk->ikn", turn, self.A)
-        return A, self.r[:, None] + torch.einsum("ijn,j->in", turn, self.r - self.center)
+        x, sine, rest = (
+            torch.cat([self.A, (self.r - self.center)[:, None]], 1),
+            torch.sin(angle),
+            1.0 - torch.cos(angle),
+        )
+        turned = self.spin @ x
+        moved = sine * turned[..., None] + rest * (self.spin @ turned)[..., None]
+        return self.A[..., None] + moved[:, :3], self.r[:, None] + moved[:, 3]
 
     def turned(self, angle: Tensor) -> tuple[Tensor, Tensor]:
         """Euler parameters [n, 4] and origins [n, 3] at angles [n] from the start."""

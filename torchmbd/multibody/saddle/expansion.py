@@ -12,12 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.equations.equations import Data
+from torchmbd.multibody.equations.index_maps import SparseMap
 from torchmbd.multibody.saddle.condensation import Condensation, component_count, component_rows
 from torchmbd.multibody.saddle.reactions import multipliers
 
@@ -49,21 +52,18 @@ class Expansion:
         values   whether the first entry of the pair axis is a value, and the others tangents; False: all are tangents
         """
         c, components = self.condensation, 6 if order else 7
-        retained = component_rows(c.whole, c.bodies, components).tolist()
-        every = range(component_count(c.whole, components))
-        selected = [every[row] for row in (every if index is None else index)]
-        position = {row: i for i, row in enumerate(retained)}
-        positions = [position[row] for row in selected if row in position]
-        y = _map_and_select(c.topology.spread if order else None, x, positions)
-        if len(positions) == len(selected):
+        selected = _selected(c, components, None if index is None else tuple(index))
+        if selected.map is None:
+            y = select_rows(x, selected.source)
+        else:
+            y = selected.map(x.transpose(0, 1).flatten(1, 2)).unflatten(1, (x.shape[0], x.shape[2])).transpose(0, 1)
+        if len(selected.places) == selected.count:
             return y
-        result = y.new_zeros(len(x), len(selected), *x.shape[2:])
-        result[:, [i for i, row in enumerate(selected) if row in position]] = y
+        result = y.new_zeros(len(x), selected.count, *x.shape[2:])
+        result[:, selected.places] = y
         for number, motion in self.prescribed if values else ():
-            for i, row in enumerate(selected):
-                component, body = divmod(row, c.whole.bodies)
-                if body == number and component < components:
-                    result[:, i, 0] = motion[order][:, component, None]
+            places, components = selected.of_body[number]
+            result[:, places, 0] = motion[order][:, components, None]
         return result
 
     def multipliers(self, q: Tensor, v: Tensor, a: Tensor, lam: Tensor) -> Tensor:
@@ -72,14 +72,46 @@ class Expansion:
         return multipliers(self.condensation, self.data, self.times, q, v, a, lam)
 
 
-def _map_and_select(spread: Any, x: Tensor, rows: list[int]) -> Tensor:
-    """Rows of spread x, or of x where spread is None; x [times, k, pair, lanes]."""
-    if spread is not None:
-        y = spread.select_rows(rows)(x.transpose(0, 1).flatten(1, 2))
-        return y.unflatten(1, (x.shape[0], x.shape[2])).transpose(0, 1)
-    return select_rows(x, rows)
+class _Selected(NamedTuple):
+    """Rows of the whole system, out of those of the condensed one.
+
+    count         how many they are
+    places        those that follow from the rows `source` of retained bodies, by a `map` or as they are
+    of_body       number of a prescribed body -> those that it has, and their components
+    """
+
+    count: int
+    places: Tensor
+    source: Tensor
+    map: SparseMap | None
+    of_body: dict[int, tuple[Tensor, Tensor]]
 
 
-def select_rows(x: Tensor, rows: Sequence[int]) -> Tensor:
+@lru_cache(maxsize=64)  # of one condensation: all, and those of each body and order
+def _selected(c: Condensation, components: int, index: tuple[int, ...] | None) -> _Selected:
+    """The rows of `index` (None: all) of q (7 components for each body) or of v and a (6)."""
+    with torch.inference_mode(False):  # kept for any mode of later callers
+        return outside_transforms(lambda: _made(c, components, index))
+
+
+def _made(c: Condensation, components: int, index: tuple[int, ...] | None) -> _Selected:
+    position = {row: i for i, row in enumerate(component_rows(c.whole, c.bodies, components).tolist())}
+    every = range(component_count(c.whole, components))
+    rows = [every[row] for row in (every if index is None else index)]
+    places = [i for i, row in enumerate(rows) if row in position]
+    source = [position[rows[i]] for i in places]
+    of_body, n = {}, c.whole.bodies
+    for body in (c.whole.names.index(body.name) for body in c.topology.prescribed_bodies):
+        own = [i for i, row in enumerate(rows) if row < components * n and row % n == body]
+        of_body[body] = _indices(own), _indices([rows[i] // n for i in own])
+    spread = c.topology.spread if components == 6 else None
+    return _Selected(len(rows), _indices(places), _indices(source), spread and spread.select_rows(source), of_body)
+
+
+def _indices(numbers: Sequence[int]) -> Tensor:
+    return torch.tensor(numbers, dtype=torch.long)
+
+
+def select_rows(x: Tensor, rows: Sequence[int] | Tensor) -> Tensor:
     """Rows of x [times, k, pair, lanes]."""
-    return x.index_select(1, torch.tensor(rows, dtype=torch.long))
+    return x.index_select(1, torch.as_tensor(rows, dtype=torch.long))
