@@ -354,9 +354,9 @@ def turned_stiffness(
 
 def plane_invariants(X: Float[Tensor, "*lanes 3 3"]) -> tuple[Float[Tensor, "*lanes"], Float[Tensor, "*lanes"]]:
     """Return U1 and U4 of a stiffness in the plane: its direct and mixed numbers in the mean over all directions."""
-    xx, xy, _, _, yy, _, _, _, shear = X.flatten(-2).unbind(-1)
-    both = xx + yy
-    return (3.0 * both + 2.0 * xy + 4.0 * shear) / 8.0, (both + 6.0 * xy - 4.0 * shear) / 8.0
+    U1 = (3.0 * X[..., 0, 0] + 3.0 * X[..., 1, 1] + 2.0 * X[..., 0, 1] + 4.0 * X[..., 2, 2]) / 8.0
+    U4 = (X[..., 0, 0] + X[..., 1, 1] + 6.0 * X[..., 0, 1] - 4.0 * X[..., 2, 2]) / 8.0
+    return U1, U4
 
 
 def strain_rotations(

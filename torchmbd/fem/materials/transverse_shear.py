@@ -68,8 +68,8 @@ def energy_shear_stiffness(shape: ShearShape, Gbar: Float[Tensor, "*lanes layers
     """Return As [N/m] of the same energy; Gbar: transverse shear stiffness of the plies in plate axes."""
     thickness = shape.faces[..., 1] - shape.faces[..., 0]
     share, weight = Gbar.new_tensor(_GAUSS).T[..., None]
-    of_points = (x.unsqueeze(-4) for x in (shape.bottom, shape.constant, shape.linear))
-    F = ShearShape(*of_points, shape.faces.unsqueeze(-3)).at(share)
+    bottom, constant, linear = (x.unsqueeze(-4) for x in (shape.bottom, shape.constant, shape.linear))
+    F = ShearShape(bottom, constant, linear, shape.faces.unsqueeze(-3)).at(share)
     energy = (weight * thickness.unsqueeze(-2))[..., None, None] * (F.mT @ inverse2(Gbar).unsqueeze(-4) @ F)
     return inverse2(energy.sum((-4, -3)))
 

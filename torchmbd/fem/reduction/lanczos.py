@@ -17,10 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from torchmbd.math.module_call import outside_transforms
 
 BLOCK = 8  # columns, which fill the registers of a processor
 CLOSE = (
@@ -112,8 +115,15 @@ def lanczos(
 
 def _random(lanes: int, size: int, columns: int) -> Tensor:
     """Return orthonormal columns, the same ones in every lane and in every run."""
+    return _start(size, columns).repeat(lanes, 1, 1)
+
+
+@lru_cache(maxsize=8)  # of the bodies of a system: each design begins with the same columns
+def _start(size: int, columns: int) -> Tensor:
+    """The columns of one lane [size, columns]."""
     start = np.random.default_rng(columns).standard_normal((size, columns))  # torch's may not be drawn under vmap
-    return torch.linalg.qr(torch.from_numpy(start))[0].repeat(lanes, 1, 1)
+    with torch.inference_mode(False):
+        return outside_transforms(lambda: torch.linalg.qr(torch.from_numpy(start))[0])
 
 
 def _iterate(
