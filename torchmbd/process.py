@@ -190,19 +190,20 @@ def installed_memory() -> float:
         machine = float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # not POSIX
         machine = math.inf
-    return min([machine, *_control_group_limits()])
+    return min([machine, *_control_group_limits(_OF_PROCESS, _CONTROL_GROUPS)])
 
 
-def _control_group_limits() -> list[float]:
+@cache
+def _control_group_limits(of_process: Path, control_groups: Path) -> list[float]:
     """Limits [bytes] of the control groups that this process is in, of versions 1 and 2, as in containers and SLURM jobs."""
-    groups = _OF_PROCESS.read_text().splitlines() if os.access(_OF_PROCESS, os.R_OK) else []
+    groups = of_process.read_text().splitlines() if os.access(of_process, os.R_OK) else []
     files: dict[Path, None] = {}
     for group in ["0::/", "0:memory:/", *groups]:  # number:controllers:path; a container may see the root only
         _, controllers, path = group.split(":", 2)
         version_1 = "memory" in controllers.split(",")
         if controllers and not version_1:
             continue
-        root = _CONTROL_GROUPS / "memory" if version_1 else _CONTROL_GROUPS
+        root = control_groups / "memory" if version_1 else control_groups
         bottom = root / path.lstrip("/")
         folders = [folder for folder in (bottom, *bottom.parents) if folder.is_relative_to(root)]
         files |= dict.fromkeys(x / ("memory.limit_in_bytes" if version_1 else "memory.max") for x in folders)
