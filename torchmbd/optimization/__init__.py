@@ -9,6 +9,7 @@ from torchmbd.optimization.methods import lbfgs as lbfgs
 from torchmbd.optimization.methods import mmfd as mmfd
 from torchmbd.optimization.methods import moving_asymptotes as moving_asymptotes
 from torchmbd.optimization.methods import slsqp as slsqp
+from torchmbd.optimization.methods import sqcqp as sqcqp
 from torchmbd.optimization.methods import trust_constr as trust_constr
 from torchmbd.optimization.multistart.run import Minimum, MultistartResult, multistart
 from torchmbd.optimization.multistart.sampling import Starts, latin_hypercube, sobol, starts_at
