@@ -147,7 +147,7 @@ PLACES = [-100.0, -5.5, 0.5]  # of the start: with -5.5 the largest row is zero 
 
 
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("method", ["mmfd", "slsqp", "mma"])
+@pytest.mark.parametrize("method", ["mmfd", "sqcqp", "slsqp", "mma"])
 def test_scenarios_have_any_sign(method, place):
     cases = {"calm": {"wind.x": 0.0}, "wind": {"wind.x": 2.0}}
     result = optimize(mbd.Scenarios(**pushed(place, minimize=mbd.Final(WHERE), scenarios=cases)), method)
@@ -167,7 +167,7 @@ def test_scenarios_without_gradients():
 
 
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("method", ["mmfd", "slsqp"])
+@pytest.mark.parametrize("method", ["mmfd", "sqcqp", "slsqp"])
 def test_rows_of_a_problem_have_any_sign(method, place):
     """(x(t) - place - 1)^2 - 3 at three times: the largest row is that of the begin, 1 - 3, where push is small enough."""
     away = WHERE - (place + 1.0)

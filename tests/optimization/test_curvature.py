@@ -54,7 +54,7 @@ def test_curvature_along_ways_takes_a_design_for_each():
     assert problem.batches == [(1, True), (2, True)]
 
 
-METHODS = ["mmfd", "slsqp", "trust-constr", "mma", "ccsaq"]
+METHODS = ["mmfd", "sqcqp", "slsqp", "trust-constr", "mma", "ccsaq"]
 
 
 @pytest.mark.parametrize("method", [*METHODS, "lbfgs"])
@@ -116,7 +116,7 @@ def test_a_search_goes_on_from_a_saddle_where_its_start_is_none():
     assert result.value == pytest.approx(1.0, abs=1e-4)
 
 
-PACKAGES = ["slsqp", "trust-constr", "mma", "lbfgs"]
+PACKAGES = ["sqcqp", "slsqp", "trust-constr", "mma", "lbfgs"]
 
 
 @pytest.mark.parametrize("method", PACKAGES)

@@ -64,7 +64,7 @@ def test_it_stays_in_its_bounds_and_a_failure_is_left_alone():
     assert EXTRA.tightened(x, failed)[1] is failed
 
 
-@pytest.mark.parametrize("method", ["mmfd", "slsqp", "mma", "trust-constr"])
+@pytest.mark.parametrize("method", ["mmfd", "sqcqp", "slsqp", "mma", "trust-constr"])
 @pytest.mark.parametrize("iterations", [1, 2, 60])
 def test_every_iterate_of_every_method_is_its_largest_row(method, iterations):
     found = multistart(

@@ -45,7 +45,7 @@ def test_a_method_with_dense_matrices_is_refused(method):
 
 
 def test_which_methods_are_dense():
-    assert set(OPTIMIZERS) > DENSE == {"mmfd", "slsqp", "trust-constr", "differential_evolution"}
+    assert set(OPTIMIZERS) > DENSE == {"auto", "sqcqp", "mmfd", "slsqp", "trust-constr", "differential_evolution"}
 
 
 @pytest.mark.thorough

@@ -33,7 +33,7 @@ def problem(monkeypatch) -> Analytic:
     return result
 
 
-@pytest.mark.parametrize("method", ["mmfd", "slsqp", "lbfgs", "trust-constr", "mma"])
+@pytest.mark.parametrize("method", ["mmfd", "sqcqp", "slsqp", "lbfgs", "trust-constr", "mma"])
 def test_the_best_design_by_then_is_the_result(problem, method):
     result = mbd.optimize(problem, method, max_time=4.5)
     assert result.status == "max_time"

@@ -40,7 +40,7 @@ def test_the_resolved_file_is_a_file_again(write):
     """Defaults filled in, in the form of the file: what MLflow keeps can be run."""
     plan = load(write(optimizer=None, tracking=None))
     resolved = plan.resolved()
-    assert resolved["optimizer"] == {"name": "slsqp", "max_iterations": 60}
+    assert resolved["optimizer"] == {"name": "auto", "max_iterations": 60}
     assert resolved["simulate"]["method"] == "generalized_alpha"
     assert resolved["subject_to"] == [{"max": {"strain_energy": "rod"}, "at_most": "initial"}]
     again = StudyFile.model_validate(resolved)

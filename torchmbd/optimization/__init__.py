@@ -3,6 +3,7 @@
 from torchmbd.optimization.api import optimize
 from torchmbd.optimization.criteria import Criteria, ManyCriteria
 from torchmbd.optimization.discrete.branch_and_bound import Candidate, Certificate, DiscreteResult, optimize_discrete
+from torchmbd.optimization.methods import auto as auto
 from torchmbd.optimization.methods import evolution as evolution
 from torchmbd.optimization.methods import ipopt as ipopt
 from torchmbd.optimization.methods import lbfgs as lbfgs

@@ -65,7 +65,8 @@ def optimize(
     """Minimize from one start.
 
     problem          such as a Problem; any object as described in optimizer.py
-    method           "slsqp", "mmfd", "lbfgs", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
+    method           "auto", "sqcqp", "slsqp", "mmfd", "lbfgs", "trust-constr", "mma", "ccsaq", "ipopt" or
+                     "differential_evolution"
     start            initial design [n]; None: problem.start
     max_iterations   accepted designs at most
     scaling          measure variables by |start|, and the objective by its value and change there (units.py)

@@ -306,7 +306,7 @@ class OptimizationResult(Summary):
 
 Method = Callable[..., Ending]
 OPTIMIZERS: dict[str, Method] = {}
-DEFAULT_METHOD = "slsqp"  # fewer simulations than mmfd in most cases compared in docs/reference/optimization.md
+DEFAULT_METHOD = "auto"  # methods/auto.py
 
 
 DENSE: set[str] = set()  # names of the methods that hold matrices of n x n numbers

@@ -65,7 +65,7 @@ subject_to:                   # each at_most, at_least or equal: a number, or in
   - {{max: {{strain_energy: {body}}}, at_most: initial}}
 
 optimizer:
-  name: slsqp                 # or mmfd, lbfgs, trust-constr, mma, ccsaq, ipopt, differential_evolution
+  name: auto                  # or sqcqp, slsqp, mmfd, lbfgs, trust-constr, mma, ccsaq, ipopt, differential_evolution
   max_iterations: 30
 starts:                       # where the optimizer starts: the model's own design and points between the bounds
   sampler: sobol
