@@ -168,7 +168,7 @@ def changed(matrix: torch.Tensor, index: tuple[int, ...], value: float) -> torch
             K_GOOD,
             torch.ones(6, 6).double() + 1e-3 * torch.diag(torch.tensor([0, 0, -1.0, 0, 0, 0]).double()),
             2,
-            "row 1",
+            "row 2 moves most",
         ),
         (K_GOOD, M_GOOD, 7, r"n = 7 modes of a problem with 6 freedoms; 1 ... 6"),
         (K_GOOD, M_GOOD, 0, "n = 0"),

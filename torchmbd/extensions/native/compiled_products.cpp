@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <cstring>
 #include <vector>
 
@@ -20,6 +21,7 @@ constexpr long WIDTH = 2;
 #endif
 typedef double V __attribute__((vector_size(8 * WIDTH), aligned(8)));
 typedef std::vector<double> Buffer;
+typedef std::int64_t Int;  // the integers of torch; long may have 32 bits
 constexpr double TINY = 2.2250738585072014e-308, STAYS = 1e-2;  // as in sparse_modes.py
 
 struct Factor {  // of a block-tridiagonal matrix, as in blocks.py
@@ -277,7 +279,7 @@ constexpr int STRIP = 8, PARTS = STRIP / WIDTH;
 
 struct Supernode {
   long column, width, rows;  // its first column; rows below its triangle
-  const long *below, *start;
+  const Int *below, *start;
   const double* values;
   const double* beneath(long c) const { return values + start[column + c] + width - c; }
 };
@@ -343,8 +345,8 @@ void backward(const Supernode& s, double* x) {
 }  // namespace
 
 // P' L'^-1 L^-1 P X [N][p] by strips of columns; the arrays of `Supernodes` (math/products.py).
-extern "C" void solve_supernodes(long begin, long end, long N, long supernodes, const long* first, const long* below_start,
-                                 const long* below, const long* start, const long* order, const double* values, const double* X,
+extern "C" void solve_supernodes(long begin, long end, long N, long supernodes, const Int* first, const Int* below_start,
+                                 const Int* below, const Int* start, const Int* order, const double* values, const double* X,
                                  double* out, long p) {
   Buffer x(N * STRIP);
   const auto node = [&](long s) {
@@ -494,7 +496,7 @@ extern "C" long conjugate_gradients(long begin, long end, const Factor* f, const
 // Supernodes of P A P' = L L': groups of columns with the same rows below their triangle. `order` becomes a postorder of the
 // elimination tree; returns how many supernodes there are. Small ones are merged with their parent where that adds few zeros,
 // by the shares of CHOLMOD. first [supernodes + 1], below_start [supernodes + 1], as in products.py; both have room for N + 1.
-extern "C" long supernode_bounds(long N, const int* indptr, const int* indices, long* order, long* first, long* below_start) {
+extern "C" long supernode_bounds(long N, const int* indptr, const int* indices, Int* order, Int* first, Int* below_start) {
   const int none = -1;
   std::vector<int> inverse(N), parent(N, none), ancestor(N, none), child(N, none), sibling(N, none), place(N), stack;
   for (long k = 0; k < N; k++) inverse[order[k]] = (int)k;
@@ -571,13 +573,13 @@ struct Children {
   void add(long parent, long s) { next[s] = head[parent], head[parent] = (int)s; }
 };
 
-std::vector<int> inverse_of(const long* order, long N) {
+std::vector<int> inverse_of(const Int* order, long N) {
   std::vector<int> inverse(N);
   for (long k = 0; k < N; k++) inverse[order[k]] = (int)k;
   return inverse;
 }
 
-std::vector<int> node_of_column(const long* first, long supernodes, long N) {
+std::vector<int> node_of_column(const Int* first, long supernodes, long N) {
   std::vector<int> node(N);
   for (long s = 0; s < supernodes; s++)
     for (long k = first[s]; k < first[s + 1]; k++) node[k] = (int)s;
@@ -586,14 +588,14 @@ std::vector<int> node_of_column(const long* first, long supernodes, long N) {
 }  // namespace
 
 // The rows below the triangle of each supernode, in rising order.
-extern "C" void supernode_rows(long N, const int* indptr, const int* indices, const long* order, long supernodes, const long* first,
-                               const long* below_start, long* below) {
+extern "C" void supernode_rows(long N, const int* indptr, const int* indices, const Int* order, long supernodes, const Int* first,
+                               const Int* below_start, Int* below) {
   const std::vector<int> inverse = inverse_of(order, N), node = node_of_column(first, supernodes, N);
   std::vector<long> mark(N, -1);
   Children children(supernodes);
   for (long s = 0; s < supernodes; s++) {
     const long end = first[s + 1];
-    long* to = below + below_start[s];
+    Int* to = below + below_start[s];
     const auto add = [&](long row) {
       if (row >= end && mark[row] != s) mark[row] = s, *to++ = row;
     };
@@ -669,8 +671,8 @@ struct Front {
 // Values of L [lane][entries] for A [lane][nnz], whose pattern has both triangles: multifrontal, children before their parents.
 // pivot [lane]: the smallest relative to its diagonal entry, -1 where one is not positive.
 extern "C" void factorize_supernodes(long begin, long end, long N, long supernodes, const int* indptr, const int* indices,
-                                     const long* first, const long* below_start, const long* below, const long* start,
-                                     const long* order, const double* A, double* L, double* pivot) {
+                                     const Int* first, const Int* below_start, const Int* below, const Int* start,
+                                     const Int* order, const double* A, double* L, double* pivot) {
   const std::vector<int> inverse = inverse_of(order, N), node = node_of_column(first, supernodes, N);
   std::vector<int> place(N);
   long largest = 0;
@@ -689,7 +691,7 @@ extern "C" void factorize_supernodes(long begin, long end, long N, long supernod
     for (long s = 0; s < supernodes && pivot[lane] >= 0.0; s++) {
       const long width = first[s + 1] - first[s], beneath = below_start[s + 1] - below_start[s], r = width + beneath;
       const Front front{numbers.data(), r, padded(r) + 8};
-      const long* rows = below + below_start[s];
+      const Int* rows = below + below_start[s];
       std::fill(front.at, front.at + r * front.P, 0.0);
       for (long t = 0; t < width; t++) place[first[s] + t] = (int)t;
       for (long t = 0; t < beneath; t++) place[rows[t]] = (int)(width + t);
@@ -704,7 +706,7 @@ extern "C" void factorize_supernodes(long begin, long end, long N, long supernod
       }
       size_t from = waiting.size();
       for (int c = children.head[s]; c >= 0; c = children.next[c]) {
-        const long *at = below + below_start[c], count = below_start[c + 1] - below_start[c];
+        const Int *at = below + below_start[c], count = below_start[c + 1] - below_start[c];
         const double* sum = waiting.data() + waiting_from[c];
         from = std::min(from, waiting_from[c]);
         for (long j = 0; j < count; j++) {

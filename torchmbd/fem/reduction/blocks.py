@@ -18,8 +18,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
-from torchmbd.fem.reduction.forms import Diagonal, Form, lane_name
+from torchmbd.fem.reduction.forms import Diagonal, Form, IndefiniteLane
 from torchmbd.fem.reduction.partition import Partition, form_sums
 from torchmbd.math.products import Factor, compiled_products
 
@@ -116,12 +115,7 @@ class BlockRoot:
             S = block if i == 0 else torch.baddbmm(block, self.C[-1], self.C[-1].mT, alpha=-1)
             L, info = torch.linalg.cholesky_ex(S)
             if info.any():
-                lane = int(info.nonzero()[0])
-                row = int(layout.order[layout.bounds[i] + int(info[lane]) - 1])
-                raise InputError(
-                    f"M{lane_name(lane, len(flat))} is not positive definite: "
-                    f"elimination leaves no positive number in row {row}"
-                )
+                raise IndefiniteLane(int(info.nonzero()[0]))
             self.L.append(L)
             if i + 1 < len(D):
                 self.C.append(torch.linalg.solve_triangular(L, B[i].mT, upper=False).mT)
@@ -152,7 +146,7 @@ class BlockRoot:
 
 
 def mass_root(layout: Partition, form: Form, values: Tensor) -> DiagonalRoot | BlockRoot:
-    """Factorize M. Raises InputError where it is not positive definite."""
+    """Factorize M. Raises IndefiniteLane where it is not positive definite."""
     if isinstance(form, Diagonal):
         return DiagonalRoot(layout.order, values)
     return BlockRoot(layout, storage(layout, form, values))

@@ -20,8 +20,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
-from torchmbd.fem.reduction.forms import Form, lane_name
+from torchmbd.fem.reduction.forms import NO_INERTIA, Form, Indefinite, lane_name
 from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, loses_digits
 
 
@@ -92,11 +91,9 @@ class DenseModes:
 
 
 def check_positive_definite(M: Tensor) -> None:
-    """Raise InputError naming lane and row where the Cholesky factorization of M [lane, N, N] breaks down."""
+    """Raise Indefinite with the lane where the Cholesky factorization of M [lane, N, N] breaks down."""
     info = torch.linalg.cholesky_ex(M).info
     if info.any():
         lane = int(info.nonzero()[0])
-        row = int(info[lane]) - 1
-        raise InputError(
-            f"M{lane_name(lane, len(M))} is not positive definite: its leading minor of row {row} is not positive"
-        )
+        row = int(torch.linalg.eigh(M[lane]).eigenvectors[:, 0].abs().argmax())
+        raise Indefinite(f"M{lane_name(lane, len(M))} {NO_INERTIA}", row)

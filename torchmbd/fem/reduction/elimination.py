@@ -16,9 +16,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
 from torchmbd.fem.reduction.blocks import BlockFactor, BlockRoot, DiagonalRoot, mass_root, storage
-from torchmbd.fem.reduction.forms import Dense, Diagonal, Form, Sparse, lane_name
+from torchmbd.fem.reduction.forms import (
+    NO_INERTIA,
+    Dense,
+    Diagonal,
+    Form,
+    Indefinite,
+    IndefiniteLane,
+    Sparse,
+    lane_name,
+)
 from torchmbd.fem.reduction.latest import Latest
 from torchmbd.fem.reduction.partition import Partition, partition
 from torchmbd.fem.reduction.shift import SAFE_PIVOT, choose_shift
@@ -35,6 +43,7 @@ BLOCK_CUBE, BLOCK_ENTRY = 0.6e-9, 0.5e-9  # seconds for each b^3 of a factorizat
 # compiled code solves for several columns together, and where a library solves for one after another.
 FILL, FILL_ENTRY = 85e-9, 0.8e-9
 FILL_APART, FILL_ENTRY_APART = 40e-9, 4e-9
+HALVINGS, ITERATIONS = 8, 20  # of the search for the row that moves most, once for an error
 CALLS = 0.05  # seconds: operations of torch between solves, which compiled code does not need for blocks
 
 
@@ -109,33 +118,38 @@ def _shifted(layout: Layout, K_form: Form, K: Tensor, M_form: Form, M: Tensor, s
 
 
 def root(layout: Layout, form: Form, values: Tensor) -> Root:
-    """Factorize M = G G'. Raises InputError where it is not positive definite."""
-    if isinstance(layout, Partition):
-        return mass_root(layout, form, values)
-    if isinstance(form, Diagonal):
-        return DiagonalRoot(layout.order, values)
-    return SparseRoot(layout, layout.values(form, values))
+    """Factorize M = G G'. Raises Indefinite where it is not positive definite."""
+    try:
+        if isinstance(layout, Partition):
+            return mass_root(layout, form, values)
+        if isinstance(form, Diagonal):
+            return DiagonalRoot(layout.order, values)
+        return SparseRoot(layout, layout.values(form, values))
+    except IndefiniteLane as error:
+        lane = error.args[0]
+        row = _loosest(layout, form, values[lane : lane + 1])
+        raise Indefinite(f"M{lane_name(lane, len(values))} {NO_INERTIA}", row) from None
 
 
-class IndefiniteStiffness(InputError):
-    """Degrees of freedom move without stiffness, or against it; `row` of K moves most."""
-
-    def __init__(self, message: str, row: int) -> None:
-        super().__init__(message)
-        self.row = row
-
-
-def _loosest(layout: Layout, form: Form, K: Tensor) -> int:
-    """The degree of freedom that moves most in the lowest mode of K [1, *entry], by inverse iteration."""
+def _loosest(layout: Layout, form: Form, A: Tensor) -> int:
+    """The row of A [1, *entry] that moves most in its lowest mode, by inverse iteration with a shift just below this mode."""
     like, ones = Diagonal(form.size), torch.ones(1, form.size, dtype=torch.float64)
 
     def shifted(shift: Tensor) -> tuple[Factor, Tensor]:
-        factor = _shifted(layout, form, K, like, ones, shift)
+        factor = _shifted(layout, form, A, like, ones, shift)
         return factor, factor.pivot
 
-    _, factor = choose_shift(form.diagonal(K), ones, shifted)
+    below, factor = choose_shift(form.diagonal(A), ones, shifted)
+    above = torch.zeros_like(below)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (below + above)
+        nearer, pivot = shifted(middle)
+        if pivot[0] > SAFE_PIVOT:
+            below, factor = middle, nearer
+        else:
+            above = middle
     X = torch.from_numpy(np.random.default_rng(1).standard_normal((1, form.size, 1)))
-    for _ in range(3):
+    for _ in range(ITERATIONS):
         X = factor.solve(X / X.norm())
     return int(layout.order[X[0, :, 0].abs().argmax()])
 
@@ -152,7 +166,7 @@ class Solver:
         self.form, self.layout, self._freedoms = form, rows or layout(form, Diagonal(form.size)), freedoms
 
     def factorize(self, values: Tensor, fault: str) -> None:
-        """Factorize A of values [lane, *entry]; IndefiniteStiffness says its lane and `fault` where it is not definite."""
+        """Factorize A of values [lane, *entry]; Indefinite says its lane and `fault` where it is not definite."""
         self.factor = factorize(self.layout, self.form, values)
         weak = self.factor.pivot <= SAFE_PIVOT
         if weak.any():
@@ -160,7 +174,7 @@ class Solver:
             row = _loosest(self.layout, self.form, values[lane : lane + 1])
             row = row if self._freedoms is None else int(self._freedoms[row])
             message = f"K{lane_name(lane, len(values))} {fault} without stiffness, or against it; hold more freedoms"
-            raise IndefiniteStiffness(message, row)
+            raise Indefinite(message, row)
 
     def solve(self, F: Tensor) -> Tensor:
         """A^-1 F for columns F [lane, T, N, k]."""

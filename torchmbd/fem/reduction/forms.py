@@ -26,6 +26,26 @@ from torchmbd.math.sparse import Pattern, SparseMatrix
 SYMMETRY_TOLERANCE = 1e-9
 
 
+class Indefinite(InputError):
+    """A matrix is not positive definite.
+
+    fault   what is wrong, without the row
+    row     the row of the matrix that moves most where its quadratic form is least
+    """
+
+    def __init__(self, fault: str, row: int) -> None:
+        super().__init__(f"{fault}; row {row} moves most")
+        self.fault, self.row = fault, row
+
+
+#: The fault of a mass.
+NO_INERTIA = "is not positive definite: something can move without inertia, or against it"
+
+
+class IndefiniteLane(Exception):
+    """A factorization of a lane, its only argument, breaks down."""
+
+
 @dataclass(frozen=True)
 class Dense:
     """values [..., N, N]."""

@@ -33,8 +33,8 @@ from scipy.sparse import csc_array, csr_array, dia_array
 from scipy.sparse.linalg import splu
 from torch import Tensor
 
-from torchmbd.errors import InputError, warn
-from torchmbd.fem.reduction.forms import Form, Sparse, lane_name
+from torchmbd.errors import warn
+from torchmbd.fem.reduction.forms import Form, IndefiniteLane, Sparse
 from torchmbd.math.products import Products, Supernodes, compiled_products
 from torchmbd.math.sparse import Pattern
 
@@ -254,7 +254,7 @@ class SparseRoot:
         self._factor = SparseFactor(layout, values)
         weak = (self._factor.pivot <= 0.0).nonzero()
         if len(weak):
-            raise InputError(f"M{lane_name(int(weak[0]), len(values))} is not positive definite")
+            raise IndefiniteLane(int(weak[0]))
         self._G = [library(layout.size)(layout, numbers).root() for numbers in values.numpy()]
 
     def lower(self, X: Tensor) -> Tensor:

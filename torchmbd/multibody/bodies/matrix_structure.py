@@ -24,6 +24,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, true_or_false, unknown, warn
 from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, CutCluster, VibrationModes, modal_basis
+from torchmbd.fem.reduction.forms import Indefinite
 from torchmbd.fem.reduction.mass_invariants import has_isotropic_inertia, mass_invariants, rigid_motions
 from torchmbd.math.checked_numbers import is_whole, reals
 from torchmbd.math.sparse import SparseMatrix
@@ -168,21 +169,26 @@ class MatrixStructure:
                 )
         try:
             reduction = REDUCTIONS[kind](int(modes), tuple(rows), updated)
-            lowest = torch.linalg.eigvalsh(reduction(K.restrict(self.free), M.restrict(self.free)).stiffness)
+            basis = reduction(K.restrict(self.free), M.restrict(self.free))
+        except Indefinite as error:
+            moving = freedom(int(self.free[error.row]))
+            raise InputError(f"reduction of {self.name!r}: {error.fault}; {moving} moves most") from None
         except InputError as error:
             raise InputError(
                 f"reduction of {self.name!r} (rows of its {len(self.free)} free freedoms): {error}"
             ) from None
         self.reduction = reduction
+        lowest, shapes = torch.linalg.eigh(basis.stiffness)
         scale = float((_diagonal(K)[self.free] / _diagonal(M)[self.free]).max())
         if not float(lowest[0]) > 1e-12 * scale:
+            moving = freedom(int(self.free[(basis.vectors @ shapes[:, 0]).abs().argmax()]))
             raise InputError(
                 (self.name, "K"),
                 K,
                 "an elastic body in one piece",
                 noun=f"K of {self.name!r}",
                 state="is not positive definite with the reference held: a mode has the eigenvalue "
-                f"{float(lowest[0]):g} 1/s2",
+                f"{float(lowest[0]):g} 1/s2, and {moving} moves most in it",
             )
 
     def _check_rigid(self, M: SparseMatrix, K: SparseMatrix, rigid: Tensor) -> None:

@@ -18,12 +18,13 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, true_or_false, unknown
 from torchmbd.fem.elements import Assembly, MassPoints
-from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, Matrix, StaticShapes, VibrationModes
-from torchmbd.fem.reduction.elimination import IndefiniteStiffness
+from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, Matrix, ModalBasis, StaticShapes, VibrationModes
+from torchmbd.fem.reduction.forms import Indefinite
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 MOST_NAMES = 8  # of nodes in a message
+ROUNDING = 1e-12  # of the stiffness of a mode, relative to the sizes of its terms and to that of other modes
 
 
 def matrices(assembly: Assembly, points: MassPoints | None = None) -> tuple[SparseMatrix, Matrix]:
@@ -71,14 +72,27 @@ def reduced(
     try:
         reduction = REDUCTIONS[kind](int(modes), held, updated, shapes)
         with torch.no_grad():
-            return reduction, reduction(*matrices(assembly)).stiffness.shape[-1]
-    except IndefiniteStiffness as error:
-        raise InputError(f"reduction of {name!r}: {error}. {_place(assembly, error.row)}") from None
+            K, M = matrices(assembly)
+            basis = reduction(K, M)
+            _check_elastic(K, basis)
+            return reduction, basis.stiffness.shape[-1]
+    except Indefinite as error:
+        raise InputError(f"reduction of {name!r}: {error.fault}. {moving(assembly, error.row)}") from None
     except InputError as error:
         raise InputError(f"reduction of {name!r}: {_without_mass(assembly) or error}") from None
 
 
-def _place(assembly: Assembly, row: int) -> str:
+def _check_elastic(K: SparseMatrix, basis: ModalBasis) -> None:
+    """Raise Indefinite where the stiffness pushes a mode of the first design further."""
+    values, shapes = torch.linalg.eigh(basis.stiffness.reshape(-1, *basis.stiffness.shape[-2:])[0])
+    shape = basis.vectors.reshape(-1, *basis.vectors.shape[-2:])[0] @ shapes[:, :1]
+    sizes = SparseMatrix(K.pattern, K.values.reshape(-1, K.pattern.nnz)[0].abs()) @ shape.abs()
+    if len(values) and values[0] < -ROUNDING * torch.maximum((shape.abs() * sizes).sum(), values[-1]):
+        fault = "K is not positive definite: something can move against its stiffness"
+        raise Indefinite(fault, int(shape.abs().argmax()))
+
+
+def moving(assembly: Assembly, row: int) -> str:
     """A sentence about a free degree of freedom that moves: its node, its direction and the nodes beside it."""
     pattern, free, count = assembly.pattern, assembly.freedoms.free, len(assembly.mesh.nodes)
     node, direction = _freedom_name(assembly, int(free[row]))

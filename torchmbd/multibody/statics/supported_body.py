@@ -15,9 +15,11 @@ from torch import Tensor
 
 from torchmbd.errors import DesignFailure, InputError
 from torchmbd.fem.elements import FREEDOMS, Assembly
+from torchmbd.fem.reduction.forms import Indefinite
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.interpolation import node_indices
+from torchmbd.multibody.bodies.reduced import moving
 from torchmbd.multibody.bodies.stiffening import check_stressed
 
 Supports = Mapping[Any, str | Sequence[float | None]]
@@ -106,7 +108,10 @@ class SupportedBody:
 
     def movable(self, error: InputError) -> DesignFailure:
         """The error for a stiffness on supports that is not positive definite: by the supports, or in one design."""
-        return DesignFailure(f"supports of {self.name!r} leave it movable: {error}")
+        fault = str(error)
+        if isinstance(error, Indefinite):
+            fault = f"{error.fault}. {moving(self.assembly, int(self.kept[error.row]))}"
+        return DesignFailure(f"supports of {self.name!r} leave it movable: {fault}")
 
 
 def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, float]:

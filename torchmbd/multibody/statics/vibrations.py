@@ -21,8 +21,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import CutCluster, Matrix, ModalBasis, eigenvalues, modal_basis
+from torchmbd.fem.reduction.forms import Indefinite
 from torchmbd.math.checked_numbers import is_whole
-from torchmbd.math.gradients import all_true
+from torchmbd.math.gradients import all_true, untransformed
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
@@ -106,7 +107,9 @@ class VibrationCase:
         vectors = basis.vectors.detach()[..., first:end]
         terms = (vectors.abs() * (_sizes(K) @ vectors.abs())).sum(-2)
         if not all_true(squares.detach() > ZERO * terms):
-            raise supported.movable(InputError("a frequency is zero to rounding; hold more freedoms"))
+            shape = untransformed(vectors)[..., 0]
+            row = int(shape.reshape(-1, shape.shape[-1])[0].abs().argmax())
+            raise supported.movable(Indefinite("a frequency is zero to rounding; hold more freedoms", row))
         status = "six rigid motions of the free body are left out" if self.rigid else "ok"
         return Vibrations(squares.sqrt() / (2.0 * math.pi), supported.shapes(vectors), status)
 
