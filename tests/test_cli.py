@@ -57,7 +57,7 @@ def start(*arguments, **options):
         (["runn", "study.yaml"], []),
         (["list", "--uri", "sqlite:///", "extra", "words"], []),
         (["ui", "--uri", "STORE", "--port", "70000"], ["port = 70000"]),
-        (["ui"], ["mlflow.db", "no study has been here"]),
+        (["ui"], ["mlflow.db", "does not contain a study yet"]),
         (["ui", "--uri", "runs.db"], ["uri = 'runs.db'", "sqlite:///mlflow.db"]),
         (["best", "--uri", "ftp://x/y"], ["uri = 'ftp://x/y'", "postgresql:"]),
         (["run", "study.yaml", "tracking.uri=sqlite:///a?b.db"], ["tracking.uri = 'sqlite:///a?b.db'", "without"]),

@@ -242,7 +242,10 @@ def ui(
     store = store_uri(uri)
     if store.file is not None and not store.file.exists():
         raise InputError(
-            "uri", store, "a store of studies, see torchmbd run", state=f"= {store!r}: no study has been here yet"
+            "uri",
+            store,
+            "a store that contains studies; `torchmbd run` makes one",
+            state=f"= {store!r}: does not contain a study yet",
         )
     if store.served:
         console.print(f"{store} is a server already.", soft_wrap=True)

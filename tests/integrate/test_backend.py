@@ -64,7 +64,7 @@ def test_a_system_that_it_cannot_serve(monkeypatch):
     monkeypatch.setattr(BACKENDS, "_entries", {"eager": Backend, "counting": Counting})
     monkeypatch.setattr(backend, "_warned", set())
     system = linked(2)
-    with pytest.warns(UserWarning, match=r"by operators of torch \(backend 'eager'\): there are two bodies"):
+    with pytest.warns(UserWarning, match=r"backend 'eager' \(torch operators\), because there are two bodies"):
         assert motion(system, "auto", gradients="none").stats["backend"] == "eager"
     with warnings.catch_warnings():
         warnings.filterwarnings("error", "steps are made")

@@ -80,7 +80,7 @@ class WeightedSum(Total):
             return self.terms
         if self.normalize == "initial":
             raise InputError(
-                "weighted sum is normalized by the initial design, which a motion alone does not tell; "
+                "normalize = 'initial': the weighted sum needs the initial design, which a motion does not contain; "
                 "allowed: in a Problem, or after at_start(motion of the initial design)"
             )
         return [(w / float(s), m) for (w, m), s in zip(self.terms, self.normalize, strict=True)]

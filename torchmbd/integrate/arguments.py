@@ -112,7 +112,7 @@ def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
                 (name,),
                 allowed="torch.func.jvp, or method 'generalized_alpha' without phases with gradients='auto' or 'reverse'",
                 noun=repr(name),
-                state="is a dual number of torch.autograd.forward_ad, in which no tangents can be integrated",
+                state="is a dual number of torch.autograd.forward_ad, which this method and these phases do not support",
             )
 
 
@@ -143,7 +143,7 @@ def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
             start,
             "gradients='reverse' or 'auto' of a one-step method, or Parameters given to the bodies (bent, "
             "moving, position)",
-            state="is being differentiated, which tangents do not carry",
+            state="requires a gradient, but forward mode does not compute gradients with respect to the start",
         )
 
 

@@ -112,5 +112,5 @@ def with_backend(dynamics: Dynamics, backend: str, work: Sequence[str] = ("step"
             raise InputError("backend", name, "'eager' or 'auto'", shown=f"{name!r}, but {why}")
         if why not in _warned:
             _warned.add(why)
-            warn(f"steps are made by operators of torch (backend 'eager'): {why}")
+            warn(f"simulate uses the slower backend 'eager' (torch operators), because {why}")
     return replace(dynamics, backend="eager")

@@ -41,7 +41,7 @@ def refuse_other_designs(names: Sequence[str], designs: Mapping[str, Tensor]) ->
         if name not in names and is_differentiated(x):
             raise InputError(
                 name,
-                allowed="variables with it, or its x.detach()",
+                allowed="variables that contain this name, or the detached tensor x.detach()",
                 noun=f"design {name!r}",
                 state=f"is being differentiated, but variables is {list(names)}",
             )

@@ -151,7 +151,7 @@ def refuse_lost_gradients(name: str, law: Any, allowed: str, registered: nn.Modu
             if carries_gradient(x) and id(x) not in known:
                 raise InputError(
                     name,
-                    allowed=f"{allowed}, such as x.detach() where x stays what it is",
+                    allowed=f"{allowed}, such as x.detach() if x does not vary",
                     state=f"has design variables ({path.strip() or 'itself'}), which would not be differentiated",
                 )
         elif id(x) not in seen and not isinstance(x, _CLOSED):

@@ -66,7 +66,7 @@ def check_angles(name: str, values: Iterable[float], outer: str = "", path: Path
 def warn_degrees(name: str, value: float) -> None:
     """Warn if a turn of a drive [rad], which may be many turns, is a common number of degrees such as 90."""
     if abs(value) in _IN_DEGREES:
-        warn(f"units of {name}? It is {value:g} rad; allowed: rad; degrees are mbd.deg({value:g})")
+        warn(f"{name} = {value:g} rad: is this angle in degrees? Try: mbd.deg({value:g}), if it is in degrees")
 
 
 def turn_in_radians(degrees: Iterable[float]) -> str | None:

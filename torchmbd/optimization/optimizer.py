@@ -328,8 +328,8 @@ def require_few(what: str, size: int, remedy: str) -> None:
     """Raise InputError for more variables than matrices of n x n numbers are made for."""
     if size > MOST_DENSE:
         raise InputError(
-            f"{what}: must not have more than {MOST_DENSE:,} design variables, for its matrices of n x n numbers; these are "
-            f"{size:,}. Try: {remedy}"
+            f"{what}: must not have more than {MOST_DENSE:,} design variables, because it stores n x n matrices; "
+            f"the problem has {size:,}. Try: {remedy}"
         )
 
 

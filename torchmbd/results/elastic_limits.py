@@ -111,8 +111,8 @@ def warn_of_displacements(motion: Trajectory) -> None:
         if ratio > _LARGE:
             near = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
             warn(
-                f"body {name!r} is displaced by {near} of its size, but elastic displacements are taken as small; allowed: "
-                "smaller loads, pieces of a beam (mbd.split), exact beams (mbd.FlexibleBeam)"
+                f"body {name!r} has elastic displacements of {near} of its size, but this body assumes small "
+                "displacements; allowed: smaller loads, pieces of a beam (mbd.split), exact beams (mbd.FlexibleBeam)"
             )
 
 

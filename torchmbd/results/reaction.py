@@ -73,7 +73,8 @@ def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) ->
     if rank is not None and joint.name in rank.undetermined:
         warn(
             f"over-constraint: equilibrium does not determine all loads of joint {joint.name!r}, because {few(rank.redundant)} "
-            "follow from other rows. Its reaction is the share of least norm; allowed: joints with fewer rows, as mbd.Spherical"
+            "follow from other rows. The program returns the reactions with the smallest norm. "
+            "Try: joints with fewer constraints, such as mbd.Spherical"
         )
     acting = {joint.name, *(x.name for x in motion.system.joints if isinstance(x, Lock) and x.of == joint.name)}
     rows = torch.tensor([name in acting for name in T.row_joints])

@@ -43,7 +43,9 @@ def study_of(data: StudyFile, system: System, file: Path, overrides: tuple[str, 
     for name in {label.rpartition("[")[0]: None for label in space.names}:
         if data.design[name].lower is None or data.design[name].upper is None:
             raise InputError(
-                name, allowed="two numbers, for entries that follow no others", state="has no lower or no upper"
+                name,
+                allowed="lower and upper, because some entries are not determined by links",
+                state="does not have both bounds",
             )
     searched: Any = problem
     if tolerance.any() and isinstance(problem, Problem):  # a Tradeoff has none, see StudyFile

@@ -69,7 +69,9 @@ def end_killed(client: MlflowClient, experiments: list[str]) -> None:
             try:
                 client.set_terminated(run.info.run_id, "KILLED", _last(client, run))
             except MlflowException as error:  # of a store that can only be read
-                warn(f"run {run.info.run_id[:8]} was killed, and the store does not note it: {first_line(error)}")
+                warn(
+                    f"run {run.info.run_id[:8]} was killed, but MLflow could not mark it as killed: {first_line(error)}"
+                )
 
 
 def _last(client: MlflowClient, run: Run) -> int:

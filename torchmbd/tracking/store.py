@@ -65,8 +65,8 @@ def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
             name,
             utf8(str(chosen)),
             "PYTHONUTF8=1, or a locale of UTF-8",
-            state=f"= {utf8(str(chosen))!r}: the name {utf8(paths[0])!r} is not of this locale, whose names "
-            f"are in {sys.getfilesystemencoding()}",
+            state=f"= {utf8(str(chosen))!r}: the name {utf8(paths[0])!r} cannot be written in the encoding of this locale, "
+            f"{sys.getfilesystemencoding()}",
         )
     return StoreURI(f"sqlite:///{chosen.file}")
 

@@ -267,5 +267,5 @@ def _array(x: Any) -> np.ndarray:
 
 def _packed(x: np.ndarray) -> str:
     if not np.isfinite(x).all():
-        raise InputError("the motion holds numbers that are not finite")
+        raise InputError("motion: must contain finite numbers only. Try: motion.status, which says why a lane failed")
     return base64.b64encode(np.ascontiguousarray(x, dtype="<f4").tobytes()).decode("ascii")

@@ -115,7 +115,10 @@ def test_a_mean_of_some_components(tmp_path):
         (["RBE3,50,,1,7,1.,123,3,4", ",5"], ["RBE3 50", "REFC is '7'"]),
         (["RBE2,50,1,123,9", "RBE2,51,2,34,9"], ["RBE2 51", "GRID 9", "RBE2 50", "component 3"]),
         (["RBE2,50,1,123,9", "MPC,4,9,2,1.,5,2,1."], ["MPC 4", "line 38", "GRID 9", "RBE2 50", "component 2"]),
-        (["MPC,4,9,2,1.,5,2,1.", "MPC,4,5,2,1.,9,2,1."], ["MPC 4", "line 37", "line 38", "circle", "chains that end"]),
+        (
+            ["MPC,4,9,2,1.,5,2,1.", "MPC,4,5,2,1.,9,2,1."],
+            ["MPC 4", "line 37", "line 38", "closed chain", "chains that end"],
+        ),
         (["MPC,4,9,7,1.,5,2,1."], ["MPC 4", "C1 is '7'", "1 to 6"]),
         (["MPC,4,9,1,1.,5,0,1."], ["C2 is '0'"]),
         (["MPC,4,9,1,1.,5,2,x"], ["A2 is 'x'"]),

@@ -141,5 +141,5 @@ def test_reactions_under_forces_on_arms_and_inside_are_of_second_order():
 def test_bodies_without_stress_are_refused():
     with pytest.raises(InputError, match="stiffening of 'beam' is 1; allowed: True or False"):
         mbd.FlexibleBody.beam("beam", BeamLine.straight(L, 2), SECTION, reference="start", stiffening=1)  # type: ignore
-    with pytest.raises(InputError, match="has stiffening, which no file of reduced bodies holds"):
+    with pytest.raises(InputError, match="has stiffening=True, but files of reduced bodies cannot"):
         beam(4).save_reduced("beam.npz")

@@ -34,7 +34,7 @@ BAD = {
     "nan": (lambda x, w: w * x[:, :1] / x[:, :1].square(), "'pd' gives .nan. at inputs .*t = 0"),
     "detached": (lambda x, w: (w * x[:, :1]).detach(), "'weight' no gradient.*detached"),
     "unused": (lambda x, w: x[:, :1], "'weight' no gradient"),
-    "inputs": (lambda x, w: w * x.detach()[:, :1], "detached from its inputs"),
+    "inputs": (lambda x, w: w * x.detach()[:, :1], "does not depend on its inputs"),
     "random": (
         lambda x, w: w * x[:, :1] + torch.rand(1, 1, dtype=torch.float64),
         "other numbers when it is called again",

@@ -421,7 +421,7 @@ def test_parts_that_do_not_expand_are_named():
         "rod": mbd.fem.elements.GivenElements(mesh, [ends], [k]),
     }
     body = mbd.FlexibleBody("panel", mesh, parts, 2, reference="left", expansion=True)
-    with pytest.warns(UserWarning, match="its parts 'rod' do not expand"):
+    with pytest.warns(UserWarning, match="its parts 'rod' ignore it"):
         mbd.Temperature(body, 50.0)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -84,7 +84,7 @@ class SNCurve:
             raise InputError(
                 "compression",
                 self.compression,
-                "both, tension alone, or none",
+                "tension and compression, tension alone, or neither of them",
                 state=f"is {self.compression!r} without tension",
             )
 

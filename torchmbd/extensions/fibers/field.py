@@ -224,8 +224,8 @@ def _radial(places: Tensor, points: Tensor, radius: float) -> tuple[Tensor, Tens
             radius,
             "a larger radius, or more controls",
             noun="radius of a FiberField",
-            state=f"is {radius!r} m: cell {int(no_control[0])} and {len(no_control) - 1} others have no "
-            "control so near",
+            state=f"is {radius!r} m: cell {int(no_control[0])} and {len(no_control) - 1} other cells do not have a "
+            "control point within the radius",
         )
     W = phi / total
     return W, (slope.mT - W[:, None] * slope.sum(1)[..., None]) / total[:, None]

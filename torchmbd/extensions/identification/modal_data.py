@@ -97,7 +97,9 @@ class ModalData(Measurement):
         count = len(self.frequencies)
         self.damping = np.full(count, np.nan) if damping is None else _numbers(damping)
         if self.damping.shape != (count,) or (self.damping <= 0.0).any() or np.isinf(self.damping).any():
-            raise InputError("damping", damping, f"{count} positive numbers, nan where there is none")
+            raise InputError(
+                "damping", damping, f"{count} positive numbers, nan for a mode whose damping was not measured"
+            )
         self.shares = positive("frequency_share", frequency_share, "-"), positive("damping_share", damping_share, "-")
         require_range("least_mac", least_mac, 0.0, 1.0)
         self.least_mac, self.options = least_mac, options

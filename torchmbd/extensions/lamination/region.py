@@ -48,7 +48,7 @@ class LaminationRegion(Measure):
 
     def __post_init__(self) -> None:
         if self.power is not None and scalar("power", self.power, "a number of at least 2, or None") < 2.0:
-            raise InputError("power", self.power, "a number of at least 2, or None for the exact largest")
+            raise InputError("power", self.power, "a number of at least 2, or None for the exact largest value")
 
     @property
     def rows(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

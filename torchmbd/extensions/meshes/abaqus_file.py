@@ -94,7 +94,9 @@ class AbaqusFile:
                 if not line.startswith("*"):
                     if instance:
                         moved = f"{instance}: *INSTANCE is moved"
-                        raise InputError(f"{moved}; allowed: one instance at the place of its part")
+                        raise InputError(
+                            f"{moved}; allowed: one instance, which is not moved or rotated relative to its part"
+                        )
                     continue
                 keyword = " ".join(line.partition(",")[0].strip("* \n").upper().split())
                 instance = where if keyword == "INSTANCE" else ""

@@ -238,7 +238,7 @@ class BulkData:
                 card.text(2),
                 "1.0",
                 noun=f"{card}: {name}",
-                state=f"is {card.text(2)}, it multiplies {FACTORS[name]}",
+                state=f"is {card.text(2)}, but read_bdf does not apply this factor, which multiplies {FACTORS[name]}",
             )
 
     def _sort_link(self, card: Card) -> None:
@@ -347,7 +347,7 @@ def _mass(card: Card) -> Mass:
         raise InputError(
             (str(card), "CID"),
             card.text(3),
-            "none, put a grid there",
+            "blank. Try: put a grid at this place",
             noun=f"{card}: CID",
             state=f"is {card.text(3)}, X1 to X3 are a place",
         )

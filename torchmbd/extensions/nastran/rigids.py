@@ -237,7 +237,10 @@ def _check_links(links: list[tuple[Card, Follower]], grids: dict[int, int]) -> N
         order.prepare()
     except graphlib.CycleError as error:
         cards = dict.fromkeys(str(led[freedom]) for freedom in error.args[1])
-        raise InputError(f"{', '.join(cards)}: they follow each other in a circle; allowed: chains that end") from None
+        raise InputError(
+            f"{', '.join(cards)}: their dependent grids form a closed chain; allowed: chains that end at an "
+            "independent grid"
+        ) from None
 
 
 def _sources(link: Follower) -> set[tuple[int, int]]:

@@ -167,7 +167,7 @@ def _require_room(web: Web, wall: list[Patch], group: list[Patch], order: int) -
     except InputError as error:
         raise InputError(
             ("webs", web.name),
-            allowed="from one side to the other",
+            allowed="a web from the suction side to the pressure side with a positive height",
             noun=f"web {web.name!r}",
             state=f"from {web.start:.4f} to {web.end:.4f} of the contour has no room between the walls "
             f"({str(error).partition(';')[0]})",

@@ -137,7 +137,9 @@ def _warn_of_parts(inner: Mapping[str, Any], webs: Mapping[str, Any]) -> None:
         warn("trailing_edge_adhesive is left out: sections have neither its mass nor its stiffness")
     for name, web in webs.items():
         if web.get("flanges"):
-            warn(f"flanges of web {name!r} are left out: sections have neither their mass nor their stiffness")
+            warn(
+                f"the reader leaves out the flanges of web {name!r}. So the sections do not include their mass and stiffness"
+            )
 
 
 def named(kind: str, items: Any, *keys: str) -> dict[str, Any]:

@@ -100,7 +100,8 @@ class Assembly:
             named = getattr(self.mesh, "node_name", lambda k: f"node {k}")(node)
             what = f"{'along' if i < 3 else 'about'} {'xyz'[i % 3]}"
             warn(
-                f"{named} has mass, no stiffness {what} ({len(still)} freedoms are so): it stands still in the body's frame"
+                f"{named} has mass but no stiffness {what} ({len(still)} such degrees of freedom): it does "
+                "not move relative to the body frame"
             )
         return self.freedoms.free[~used]
 

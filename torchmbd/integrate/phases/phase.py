@@ -93,7 +93,7 @@ class Phase:
         if self.impact is not None and not isinstance(self.until, Event):
             raise InputError(
                 "impact",
-                allowed="an Event, its gap",
+                allowed="until=mbd.Event(gap), because an impact happens at an event",
                 noun="impact of a phase",
                 state=f"is given, but until={self.until!r}",
             )

@@ -67,8 +67,8 @@ class Expansion:
         if still:
             names = ", ".join(map(repr, still))
             warn(
-                f"body {self.name!r} changes its temperature or moisture, but its parts {names} do not expand: only plates and "
-                "beams do"
+                f"body {self.name!r} has a change of temperature or moisture, but its parts {names} ignore it: only plates and "
+                "beams expand"
             )
 
     def changes(self, zone: str | None) -> tuple[str, ...]:

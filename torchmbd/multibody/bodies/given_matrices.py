@@ -257,7 +257,7 @@ def _symmetric(name: str, key: str, pattern: Pattern, values: Tensor) -> Tensor:
             allowed="symmetric to 1e-9",
             noun=f"{key} of {name!r}",
             state=f"is not symmetric: {float(values[worst]):.9g} between {freedom(i)} and {freedom(j)}, "
-            f"{float(values[pattern.transposed[worst]]):.9g} the other way",
+            f"{float(values[pattern.transposed[worst]]):.9g} in the transposed entry",
         )
     return 0.5 * (values + values[pattern.transposed])
 

@@ -157,7 +157,10 @@ class MatrixMethods:
                 K, M = matrices(Assembly(self.mesh, body.assembly.parts))
         if K.values.dim() > 1:
             raise InputError(
-                (body.name,), allowed="one", noun=repr(body.name), state=f"has {K.values.shape[0]} designs at once"
+                (body.name,),
+                allowed="a body with one design",
+                noun=repr(body.name),
+                state=f"has {K.values.shape[0]} designs",
             )
         mass = M.pattern.to_scipy(M.values) if isinstance(M, SparseMatrix) else scipy.sparse.diags_array(M.numpy())
         return scipy.sparse.csr_array(mass), scipy.sparse.csr_array(K.pattern.to_scipy(K.values))

@@ -213,7 +213,9 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping
     if path.suffix != ".npz":
         raise InputError("path", str(path), "a name that ends in .npz", state=f"= {str(path)!r}")
     if "F1" in structure:
-        raise InputError("the body has stiffening, which no file of reduced bodies holds; allowed: stiffening=False")
+        raise InputError(
+            "the body has stiffening=True, but files of reduced bodies cannot store stiffening. Try: stiffening=False"
+        )
     if structure["Kr"].dim() > 2:
         raise InputError(f"the body has {structure['Kr'].shape[0]} designs at once; allowed: one")
     arrays = {key: structure[key].detach().numpy() for key in (*SHAPES, "Kr", "psi", "K2") if key in structure}

@@ -131,7 +131,9 @@ def _check_gradients(control: Control, x: Tensor) -> None:
         )
     if by[0] is None and control.inputs and not torch.allclose(u, _called(control, x + 1e-6), rtol=1e-12, atol=0.0):
         raise InputError(
-            control.label, allowed="torch operations on them", state="gives an output that is detached from its inputs"
+            control.label,
+            allowed="torch operations on the inputs, without detach() or numpy()",
+            state="returns an output that does not depend on its inputs through torch",
         )
 
 

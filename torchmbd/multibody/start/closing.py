@@ -92,7 +92,10 @@ class Closing:
 def warn_far(closing: Closing) -> None:
     """Warn of joints that are open by more than rounding of positions."""
     if closing.far:
-        warn(f"{closing}; allowed: positions, axes and laws of drives at t = 0 that fit (system.describe() lists all)")
+        warn(
+            f"{closing}; allowed: positions, axes and laws of drives that close the joints at t = 0 (system.describe() "
+            "lists all gaps)"
+        )
 
 
 def _way(T: Any, body: int, before: Any, after: Any, start: Tensor, closed: Tensor) -> Way:

@@ -68,8 +68,8 @@ class SupportedBody:
                 raise InputError(
                     "supports",
                     supports,
-                    "its leader",
-                    state=f"hold node {f // 6} of {body.name!r}, which follows another",
+                    "the node that it depends on",
+                    state=f"hold node {f // 6} of {body.name!r}, which depends on another node",
                 )
         self.imposed = torch.zeros(len(free), 1, dtype=torch.float64)
         kept = torch.ones(len(free), dtype=torch.bool)

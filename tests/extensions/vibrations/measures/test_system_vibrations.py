@@ -158,7 +158,7 @@ def test_designs_without_a_state_are_statuses():
     [
         (lambda: mbd.SystemFrequency(0), "number is 0"),
         (lambda: mbd.SystemFrequency(cluster=(1, 1)), "cluster is"),
-        (lambda: mbd.SystemFrequency(3, cluster=(1, 2)), "number is 3 with cluster"),
+        (lambda: mbd.SystemFrequency(3, cluster=(1, 2)), "number is 3, and cluster is"),
         (lambda: mbd.SystemFrequency(1, power=0.0), "power is 0"),
         (lambda: mbd.SystemFrequency(1, speed=-1.0), "speed is -1"),
         (lambda: mbd.DampingRatio(1, axis="w"), "axis"),

@@ -119,7 +119,10 @@ class SystemFrequency(OfVibrations):
             object.__setattr__(self, "cluster", _numbers("cluster", self.cluster))
             if self.number != 1:
                 raise InputError(
-                    "number", self.number, "one of both", state=f"is {self.number} with cluster {self.cluster}"
+                    "number",
+                    self.number,
+                    "number or cluster, not both",
+                    state=f"is {self.number}, and cluster is {self.cluster}",
                 )
         if true_or_false("follow", self.follow) and self.cluster is not None:
             raise InputError("follow", allowed="with a number", state=f"is True with cluster {self.cluster}")
