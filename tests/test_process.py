@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd import process
 from torchmbd.errors import InputError
 from torchmbd.process import ONE_THREAD, _least_quota, brief_warnings, cores, imports, thread_count, worker_threads
@@ -54,7 +55,7 @@ def test_other_numbers_of_threads_are_refused(count):
 @pytest.mark.parametrize("text", ["0", "-1", "1.5", "two", "", "\u0662"])
 def test_other_numbers_in_the_environment_are_refused_by_name(text, monkeypatch):
     monkeypatch.setenv("TORCHMBD_THREADS", text)
-    with pytest.raises(InputError, match=rf"TORCHMBD_THREADS = {text!r}: must be an integer"):
+    with refused("TORCHMBD_THREADS"):
         thread_count()
 
 

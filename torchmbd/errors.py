@@ -183,7 +183,7 @@ def nearest(name: object, allowed: Iterable[object]) -> str:
     return f"; allowed: {', '.join(options) or '(none)'}{hint}"
 
 
-def one_of(kind: str, name: object, allowed: Iterable[object]) -> str:
+def one_of(kind: str | Path, name: object, allowed: Iterable[object]) -> str:
     """A name that is one of those allowed; InputError for any other, and for what is no name at all."""
     options = list(allowed)
     if not isinstance(name, str) or name not in options:
@@ -191,12 +191,39 @@ def one_of(kind: str, name: object, allowed: Iterable[object]) -> str:
     return name
 
 
-def unknown(kind: str, name: object, allowed: Iterable[object], path: Path = ()) -> InputError:
-    """Build the error for a name that does not exist, with the nearest that does; `path`: default is the kind itself."""
-    return InputError(path or kind, name, list(allowed), noun=kind)
+def unknown(kind: str | Path, name: object, allowed: Iterable[object], path: Path = ()) -> InputError:
+    """Build the error for a name that does not exist, with the nearest that does.
+
+    kind  a word for what it names, or the keys to the argument
+    path  the keys to the argument; default: `kind`
+    """
+    return InputError(path or kind, name, list(allowed), noun=kind if isinstance(kind, str) else "")
 
 
-def true_or_false(name: str, value: Any) -> bool:
+def wrong_entry(place: object, fault: str, allowed: str = "", key: str = "", hint: str = "") -> InputError:
+    """Build the error for an entry of a file of another program.
+
+    place  the line, card or element, as the message names it
+    key    the field or attribute there; "": the error is about the whole place
+    """
+    path = (str(place), key) if key else (str(place),)
+    if allowed:
+        return InputError(path, allowed=allowed, hint=hint, noun=f"{place}:", state=fault)
+    return InputError(path, rule=fault, hint=hint, noun=f"{place}:")
+
+
+def within(place: object, error: InputError, *keys: str | int) -> InputError:
+    """Build the error of an argument within a place, such as a file, a card or a part, from the error that names it there.
+
+    keys  the path to the place; default: its words
+    """
+    path = (*(keys or (str(place),)), *error.path)
+    whole = InputError(path, error.value, rule=str(error), noun=f"{place}:", shown="")
+    whole.allowed = error.allowed
+    return whole
+
+
+def true_or_false(name: str | Path, value: Any) -> bool:
     """Read a switch; InputError for words, numbers and None: bool() makes True of "no"."""
     if isinstance(value, bool):
         return value

@@ -18,7 +18,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, cross_matrix, plate, tensor, turned
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.math.rotation import euler_parameters
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.joints import JOINTS
@@ -299,7 +299,5 @@ def test_axes_that_contradict_are_refused(kind):
     agree = a.axes.T @ frame.axes @ turned(0.0, 1.3, 0.0)  # turned about the common axis: still agrees
     JOINTS[kind](frame, a.at(axes=agree), **given)
     JOINTS[kind](frame, a.at(), **given)
-    with pytest.raises(
-        InputError, match=r"axes of 'odd' contradict: .*'y' is \(.*\) by ground.at.* by a\.at.*; allowed"
-    ):
+    with refused("odd.axes"):
         JOINTS[kind](frame, a.at(axes=turned(1.0, 0.0, 0.0)), name="odd", **given)

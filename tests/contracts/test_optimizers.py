@@ -411,7 +411,7 @@ def test_equalities_are_met_or_refused(method):
         assert np.allclose(result.x, [2, 1], atol=1e-3)
         assert result.multipliers[0] == pytest.approx(-4.0, rel=1e-2)
     else:
-        with pytest.raises(InputError, match="equalities"):
+        with refused("method"):
             solve(problem, method)
         assert problem.batches == []
 
@@ -449,12 +449,12 @@ def test_a_method_that_claims_an_optimum_where_there_is_none(monkeypatch):
 
 
 def test_crossed_bounds_are_named():
-    with pytest.raises(InputError, match=r"bounds of x2 are crossed: lower = 3 .* upper = 1"):
+    with refused("lower.x2"):
         optimize(quadratic(lower=[-10, 3, -10], upper=[10, 1, 10]))
 
 
 def test_start_outside_the_bounds_is_named():
-    with pytest.raises(InputError, match=r"start of x3 = 11: must lie between -10 and 10"):
+    with refused("start.x3"):
         optimize(quadratic(), start=[0, 0, 11])
     with refused("start.x1"):
         optimize(quadratic(), start=[np.nan, 0, 0])
@@ -463,14 +463,14 @@ def test_start_outside_the_bounds_is_named():
 def test_wrong_names_are_answered_with_the_nearest():
     with refused("method", "mfd", meant="mmfd"):
         optimize(quadratic(), "mfd")
-    with pytest.raises(InputError, match=r"option 'delobjs' does not exist.*did you mean 'delobj'"):
+    with refused("delobjs", meant="delobj"):
         optimize(quadratic(), "mmfd", delobjs=1e-3)
     with refused("ct", 0.03):
         optimize(quadratic(), "mmfd", ct=0.03)
 
 
 def test_wrong_lengths_are_named():
-    with pytest.raises(InputError, match=r"start has 2 entries, allowed: 3 \(x1, x2, x3\)"):
+    with refused("start"):
         optimize(quadratic(), start=[0, 0])
 
 

@@ -12,6 +12,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, SOFT, pendulum
+from tests.refused import refused
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES, History, Measure, WeightedSum, history, measure
 from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.angle import Angle
@@ -246,7 +247,7 @@ def test_gradient_of_a_measure_against_differences(response, motions):
     rounding = 1e-13 * float(value.abs().max()) / motions[1].stats["difference"]
     assert_close(gradient, expected, rtol=0, atol=1e-5 * float(expected.abs().max()) + rounding)
     assert response.of(motions[1]).gradient is None
-    with pytest.raises(mbd.InputError, match="the motion has no gradient"):
+    with refused("motion"):
         response.value_and_gradient(motions[1])
 
 

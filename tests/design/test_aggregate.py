@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.design.sharpening import sharpened
 
 LAG = mbd.Displacement("arm", "z", node="right")
@@ -84,25 +85,25 @@ def test_scenarios_are_aggregated_by_their_largest():
 
 
 @pytest.mark.parametrize(
-    ("make", "text"),
+    ("make", "path"),
     [
         (lambda: mbd.Aggregate(LAG), "measures"),
-        (lambda: mbd.Aggregate([]), "measures is \\[\\]"),
-        (lambda: mbd.Aggregate(ROWS, "max"), "kind 'max' does not exist"),
-        (lambda: mbd.Aggregate(ROWS, sharpness=0.0), "sharpness is 0.0; allowed: a positive number"),
-        (lambda: mbd.Aggregate(ROWS, "p_norm", scale=2.0), "scale is 2.0 with kind 'p_norm'"),
+        (lambda: mbd.Aggregate([]), "measures"),
+        (lambda: mbd.Aggregate(ROWS, "max"), "kind"),
+        (lambda: mbd.Aggregate(ROWS, sharpness=0.0), "sharpness"),
+        (lambda: mbd.Aggregate(ROWS, "p_norm", scale=2.0), "scale"),
         (lambda: mbd.sharpen(problem("ks", 9.0), tolerance=-1.0), "tolerance"),
-        (lambda: mbd.sharpen("mine"), "problem is 'mine'; allowed: a Problem"),  # pyright: ignore[reportArgumentType]
+        (lambda: mbd.sharpen("mine"), "problem"),  # pyright: ignore[reportArgumentType]
     ],
 )
-def test_refusals(make, text):
-    with pytest.raises(mbd.InputError, match=text):
+def test_refusals(make, path):
+    with refused(path):
         make()
 
 
 def test_a_problem_without_aggregates_is_refused():
     plain = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Max(LAG), steps=20)
-    with pytest.raises(mbd.InputError, match="problem has no Aggregate"):
+    with refused("problem"):
         mbd.sharpen(plain)
 
 

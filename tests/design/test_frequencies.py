@@ -7,6 +7,7 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import CARBON
+from tests.refused import refused
 from torchmbd.design.response_spec import measure_of
 
 DESIGN = mbd.deg([45.0, -45.0])
@@ -75,22 +76,22 @@ def test_the_power_mean_lies_between_lowest_and_highest(motions):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("given", "path"),
     [
-        ({"cluster": ()}, "cluster is"),
-        ({"cluster": (2, 2)}, "cluster is"),
-        ({"cluster": 2}, "cluster is"),
-        ({"cluster": (1, 2), "power": 0.0}, "power is 0.0; allowed"),
-        ({"cluster": (1, 2), "power": float("nan")}, "power is nan; allowed"),
+        ({"cluster": ()}, "cluster"),
+        ({"cluster": (2, 2)}, "cluster"),
+        ({"cluster": 2}, "cluster"),
+        ({"cluster": (1, 2), "power": 0.0}, "power"),
+        ({"cluster": (1, 2), "power": float("nan")}, "power"),
     ],
 )
-def test_wrong_arguments_are_named(given, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_wrong_arguments_are_named(given, path):
+    with refused(path):
         mbd.Frequencies("sheet", **given)
 
 
 def test_a_mode_that_is_not_retained_is_named(motions):
-    with pytest.raises(mbd.InputError, match="number is 99; allowed: 1 to"):
+    with refused("number", 99):
         mbd.Frequencies("sheet", (6, 99)).value(motions[0])
 
 
@@ -110,16 +111,16 @@ def test_frequencies_on_supports_are_those_of_the_body(motions):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("given", "path"),
     [
-        ({"supports": {"edge": "all"}}, "does not exist"),
-        ({"supports": {"left_edge": "u7"}}, "support 'left_edge' of 'sheet' is 'u7'"),
-        ({"supports": SUPPORTS, "number": 0}, "number is 0; allowed: 1, 2, ..."),
-        ({"supports": SUPPORTS, "number": 999}, "number is 999; allowed: 1 to"),
+        ({"supports": {"edge": "all"}}, "node"),
+        ({"supports": {"left_edge": "u7"}}, "sheet.supports.left_edge"),
+        ({"supports": SUPPORTS, "number": 0}, "number"),
+        ({"supports": SUPPORTS, "number": 999}, "number"),
     ],
 )
-def test_wrong_supports_are_named(motions, given, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_wrong_supports_are_named(motions, given, path):
+    with refused(path):
         mbd.Frequency("sheet", **given).check(motions[0].system)
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
+from tests.refused import refused
 from torchmbd.design import RMS, AtTime, AtTimes, Final, Frequency, Mass, Mean, Min, SmoothMax, history
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
@@ -97,7 +98,7 @@ def test_measures_of_the_design():
         assert float(Frequency("rod", number).value(motion)) == pytest.approx(float(lowest[number - 1].detach()))
     assert float(Mass("rod").value(motion)) == pytest.approx(1586.0 * 0.3 * 0.1 * 3e-3)
     assert float(Mass().value(motion)) == pytest.approx(1586.0 * 0.3 * 0.1 * 3e-3 + 0.7)
-    with pytest.raises(mbd.InputError, match="number is 4; allowed: 1 to 3"):
+    with refused("number", 4):
         Frequency("rod", 4).check(system)
 
 
@@ -131,7 +132,7 @@ def test_few_numbers_in_reverse_and_many_in_forward_mode_have_the_same_gradients
 
 
 def test_the_value_at_a_time_is_that_of_a_history():
-    with pytest.raises(mbd.InputError, match=r"AtTime of 'rod'; allowed: a history, such as StrainEnergy\('rod'\)"):
+    with refused("history", "rod"):
         AtTime("rod", 0.1)
 
 
@@ -153,7 +154,7 @@ def test_an_equilibrium_has_values_at_its_times():
 def test_a_frequency_that_does_not_exist_is_named(number):
     """Also where no Problem has looked at the measure: 0 and -1 would be the last ones."""
     motion = mbd.simulate(pendulum(), 0.01, steps=2)
-    with pytest.raises(mbd.InputError, match=rf"number is {number}; allowed: 1 to 2, the modes that every"):
+    with refused("number"):
         mbd.Frequency("rod", number).value(motion)
 
 
@@ -163,5 +164,5 @@ def test_as_many_peaks_as_intervals_are_allowed():
     peaks = mbd.AtPeaks(height, count=4)(motion)
     assert peaks.shape == (1, 4)
     assert float(peaks[0, 0]) == float(mbd.Max(height)(motion))
-    with pytest.raises(mbd.InputError, match="count is 5; allowed: at most 4, the intervals"):
+    with refused("count", 5):
         mbd.AtPeaks(height, count=5)(motion)

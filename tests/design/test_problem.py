@@ -141,9 +141,7 @@ def test_bad_input_is_refused_at_the_door(given, words):
 @pytest.mark.parametrize("X", [np.zeros(2), np.zeros((2, 3)), [[1.0]], "x", [[1.0], [1.0, 2.0]]])
 def test_designs_of_another_shape_are_named(shared, X):
     for call in (lambda: shared.evaluate(X, False), lambda: shared.simulate(X)):
-        with pytest.raises(
-            InputError, match=r"designs .*; allowed: (\[lanes, 2\], of rod.laminate.angles\[0\]|numbers)"
-        ):
+        with refused("designs"):
             call()
 
 
@@ -163,9 +161,9 @@ def test_a_single_constraint_needs_no_list():
 
 @pytest.mark.parametrize("limit", ["start", math.inf, math.nan, True])
 def test_limits_of_constraints(limit):
-    with pytest.raises(InputError, match=r"limit of a constraint is .*; allowed: a finite number or 'initial'"):
+    with refused("Constraint.limit"):
         _ = mbd.Max(ENERGY) <= limit
-    with pytest.raises(InputError, match=r"constraint on .*; allowed: a measure"):
+    with refused("measure"):
         Constraint(ENERGY, 1.0)
 
 

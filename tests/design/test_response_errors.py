@@ -138,9 +138,9 @@ def test_bad_input() -> None:
         motion.error_of(mbd.Angle("bob", "z"))
     with refused("response", 3):
         response_error(motion, 3)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InputError, match=r"rk4.*allowed: generalized_alpha"):
+    with refused("method", "rk4"):
         mbd.simulate(system, 0.1, "rk4", steps=10, gradients="none").error_of(ANGLE)
-    with pytest.raises(InputError, match="part of another"):
+    with refused("motion"):
         pickle.loads(pickle.dumps(motion)).error_of(ANGLE)
 
 

@@ -10,6 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
+from tests.refused import refused
 
 ENERGY = mbd.StrainEnergy("rod")
 REACH = mbd.Position("rod", "x", node="right")
@@ -41,7 +42,7 @@ def test_quotients(motion):
 
 @pytest.mark.parametrize("divisor", [0, 0.0, "2", None, float("nan"), True])
 def test_divisors_that_are_none(divisor):
-    with pytest.raises(mbd.InputError, match=r"a measure is divided by .*; allowed: a finite number but 0"):
+    with refused("divisor"):
         _ = mbd.Max(ENERGY) / divisor
 
 
@@ -55,7 +56,7 @@ def test_a_chain_of_comparisons_is_refused():
     "function", [lambda m: m.q[..., 0] + 0j, lambda m: m.q[..., 0] > 0, lambda m: m.q[..., 0].long()]
 )
 def test_functions_return_real_numbers(motion, function):
-    with pytest.raises(mbd.InputError, match=r"allowed: a tensor of shape .*, real numbers"):
+    with refused("response.<lambda>"):
         mbd.history(function).values(motion)
     assert torch.isfinite(mbd.history(lambda m: m.q[..., 0]).values(motion)).all()
 

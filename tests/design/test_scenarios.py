@@ -122,20 +122,20 @@ def test_an_optimum_of_the_mean():
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "path"),
     [
-        ({"objective": "each"}, "objective is 'each'; allowed: worst, mean"),
-        ({"constraints": "all"}, "constraints is 'all'"),
-        ({"weights": [1.0]}, "weights is .*20 numbers"),
-        ({"cases": {"a": {"tool.mas": 1.0}}}, "did you mean 'tool.mass'"),
-        ({"cases": {"a": {"arm.laminate.angles": [0.0, 1.0]}}}, "a design variable"),
-        ({"cases": {"a": {"tool.mass": "heavy"}}}, "tool.mass in scenario 'a' is 'heavy'"),
-        ({"cases": {"a": {"tool.mass": -0.1}}}, "tool.mass in scenario 'a' is -0.1; allowed: positive numbers"),
-        ({"cases": []}, "scenarios is"),
+        ({"objective": "each"}, "objective"),
+        ({"constraints": "all"}, "constraints"),
+        ({"weights": [1.0]}, "weights"),
+        ({"cases": {"a": {"tool.mas": 1.0}}}, "scenarios.a.tool.mas"),
+        ({"cases": {"a": {"arm.laminate.angles": [0.0, 1.0]}}}, "scenarios.a.arm.laminate.angles"),
+        ({"cases": {"a": {"tool.mass": "heavy"}}}, "scenarios.a.tool.mass"),
+        ({"cases": {"a": {"tool.mass": -0.1}}}, "scenarios.a.tool.mass"),
+        ({"cases": []}, "scenarios"),
     ],
 )  # fmt: skip
-def test_what_is_refused(options, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_what_is_refused(options, path):
+    with refused(path):
         problem(**options)
 
 
@@ -169,7 +169,7 @@ def test_systems_of_different_topology(asked):
         ([0, 2], ["loaded", "loaded and thick"]),
         ([1, 3], ["plain", "thick"]),
     ]
-    with pytest.raises(mbd.InputError, match=r"2 systems; allowed: motions_by_system"):
+    with refused("scenarios"):
         problem.motions(problem.start)
     result = [mbd.Integral(energy)(motion) for motion in problem.motions_by_system(problem.start)]
     values = torch.stack(result, 1).reshape(-1).detach().numpy()  # in the order of the scenarios
@@ -189,9 +189,7 @@ def test_systems_of_different_topology(asked):
     difference = (4 * slopes[1] - slopes[0]) / 3
     exact = np.vstack([e.objective_gradient, e.constraint_gradients])[:, :2].T
     np.testing.assert_allclose(exact, difference, rtol=1e-6, atol=1e-6 * np.abs(difference).max())
-    with pytest.raises(
-        mbd.InputError, match=r"system of scenario 'three' has one of shape \[3\]: 'rod.laminate.angles'"
-    ):
+    with refused("scenarios.three.system"):
         mbd.Scenarios(plain, 0.002, mbd.Integral(energy), scenarios={"three": {"system": rod_model.build(3)}}, steps=8)
     with refused("scenarios.a.system", 3):
         mbd.Scenarios(plain, 0.002, mbd.Integral(energy), scenarios={"a": {"system": 3}}, steps=8)

@@ -15,7 +15,6 @@ from tests.refused import refused
 from torchmbd.design.problem_parts import masses_and_frequencies
 from torchmbd.design.verification import verification
 from torchmbd.design.words import words
-from torchmbd.errors import InputError
 from torchmbd.optimization import MultistartResult
 from torchmbd.results.answer import Verification
 
@@ -245,5 +244,5 @@ def test_a_best_design_that_is_worse_than_the_start_is_not_verified() -> None:
 def test_bad_input() -> None:
     with refused("result", 3):
         mbd.verify(3)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InputError, match="no design with a violation"):
+    with refused("result"):
         mbd.verify(MultistartResult([], []))

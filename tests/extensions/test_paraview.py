@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum, plate
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.extensions.paraview import save_mesh, save_modes, save_motion
 from torchmbd.fem.materials import CRITERIA, Ply, Strength
 from torchmbd.math.variable import LayerNumbers
@@ -125,24 +125,24 @@ def test_meshio_reads_it(tmp_path, motion):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "argument"),
     [
-        ({"path": "x.vtk"}, "ends in .pvd"),
-        ({"lane": 1}, "lane = 1: allowed: 0 to 0"),
-        ({"max_frames": 1}, "max_frames = 1"),
-        ({"criterion": "tsai"}, "criterion 'tsai' does not exist"),
+        ({"path": "x.vtk"}, "path"),
+        ({"lane": 1}, "lane"),
+        ({"max_frames": 1}, "max_frames"),
+        ({"criterion": "tsai"}, "criterion"),
     ],
 )
-def test_bad_arguments(tmp_path, motion, given, words):
+def test_bad_arguments(tmp_path, motion, given, argument):
     path = tmp_path / given.pop("path", "x.pvd")
-    with pytest.raises(InputError, match=words.replace(".", r"\.")):
+    with refused(argument):
         save_motion(motion, path, **given)
 
 
 @pytest.mark.thorough
 def test_a_failed_lane_has_nothing_to_show(tmp_path, motion):
     failed = dataclasses.replace(motion, status=["failed: no reason"])
-    with pytest.raises(InputError, match="lane 0 has no motion to show: failed: no reason"):
+    with refused("lane", 0):
         save_motion(failed, tmp_path / "x.pvd")
-    with pytest.raises(InputError, match=r"ends in \.vtu"):
+    with refused("path"):
         save_mesh(plate("rod"), tmp_path / "rod.vtk")

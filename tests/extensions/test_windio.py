@@ -11,6 +11,7 @@ import torch
 import yaml
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.windio.blade import WindIOBlade, _loaded
 from torchmbd.extensions.windio.contours import Contours
@@ -207,10 +208,10 @@ def test_a_blade_of_one_airfoil(blade):
 @pytest.mark.parametrize(
     ("layers", "webs", "changed", "words"),
     [
-        (FULL, [], {}, r"web of layer 'web_skin': 'web' does not exist"),
-        (FULL, [{"name": "web", "end_nd_arc": along(0.7)}], {}, "web 'web' has no start_nd_arc"),
-        ([FULL[0], FULL[0]], [], {}, "layer 'outer' stands twice"),
-        ([{"name": "outer", "thickness": along(1e-3)}], [], {}, "layer 'outer' has no material"),
+        (FULL, [], {}, r"web_skin.web 'web' does not exist"),
+        (FULL, [{"name": "web", "end_nd_arc": along(0.7)}], {}, "web.web.start_nd_arc must be there"),
+        ([FULL[0], FULL[0]], [], {}, "layer.outer must be there once"),
+        ([{"name": "outer", "thickness": along(1e-3)}], [], {}, "layer.outer.material must be there"),
         (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": 0.3} for k in ("root", "tip")]}, "'coordinates'"),
         (
             FULL,
@@ -218,7 +219,12 @@ def test_a_blade_of_one_airfoil(blade):
             {"airfoils": [{"name": k, "relative_thickness": "x"} for k in ("root", "tip")]},
             "is not a windIO",
         ),
-        (FULL, WEBS, {"airfoils": [{"name": "root", "relative_thickness": float("nan")}] * 2}, "'root' stands twice"),
+        (
+            FULL,
+            WEBS,
+            {"airfoils": [{"name": "root", "relative_thickness": float("nan")}] * 2},
+            "root must be there once",
+        ),
     ],
 )
 def test_what_a_blade_lacks_is_named(blade, layers, webs, changed, words):
@@ -267,19 +273,19 @@ def test_files_that_are_no_blade(tmp_path, blade):
     for text in ("", "[1, 2", "a: {b: c}", "components: {blade: 3}", "&a [*a]", "\x00"):
         path = tmp_path / "x.yaml"
         path.write_text(text)
-        with pytest.raises(InputError, match=r"x\.yaml is not a windIO blade"):
+        with refused("x.yaml"):
             mbd.read_windio(path)
-    with pytest.raises(InputError, match=r"path is '.*none\.yaml'; allowed: a windIO file that exists"):
+    with refused("path"):
         mbd.read_windio(tmp_path / "none.yaml")
-    with pytest.raises(InputError, match="position = 2"):
+    with refused("position"):
         blade(circle(), [skin("outer", "steel", 0.02)], []).section(2.0)
 
 
 @pytest.mark.parametrize(
-    ("options", "match"), [({"cells": 0}, "cells = 0"), ({"cells": "a"}, "cells"), ({"order": 3}, "order = 3")]
+    ("options", "path"), [({"cells": 0}, "cells"), ({"cells": "a"}, "cells"), ({"order": 3}, "order")]
 )
-def test_numbers_of_elements_that_are_refused(blade, options, match):
-    with pytest.raises(InputError, match=f"{match}.*allowed"):
+def test_numbers_of_elements_that_are_refused(blade, options, path):
+    with refused(path):
         blade(circle(), [skin("outer", "steel", 0.02)], []).section(0.5, **options)
 
 

@@ -17,7 +17,6 @@ from tests.mechanisms import box, finished, pendulum
 from tests.multibody.start.test_initial import four_bar
 from tests.refused import refused
 from tests.sensitivity.test_law_variables import arm
-from torchmbd.errors import InputError
 from torchmbd.examples import slider_crank
 
 STEPS = {"steps": 10, "iterations": (6, 4)}
@@ -161,16 +160,13 @@ def test_compiled_steps(native):
 def test_what_is_no_duration_or_would_be_lost_is_refused():
     system = pendulum()
     T = torch.tensor(0.01, dtype=torch.float64, requires_grad=True)
-    for options, result in (
-        ({"method": "rk4"}, "method is 'rk4'"),
-        ({"gradients": "forward"}, "gradients is 'forward'"),
-    ):
-        with pytest.raises(InputError, match=rf"duration is being differentiated, but {result}; allowed: method"):
+    for options in ({"method": "rk4"}, {"gradients": "forward"}):
+        with refused("duration"):
             mbd.simulate(system, T, steps=8, **options)
         assert mbd.simulate(system, T.detach(), steps=8, **(options | {"gradients": "none"})).ok
     with torch.no_grad():
         assert not mbd.simulate(system, T, steps=8).t.requires_grad
-    with pytest.raises(InputError, match=r"duration is torch.float32; allowed: torch.float64"):
+    with refused("duration"):
         mbd.simulate(system, torch.tensor(0.01, requires_grad=True), steps=8)
     with refused("duration"):
         mbd.simulate(system, torch.tensor([0.01, 0.02]), steps=8)

@@ -169,21 +169,21 @@ def test_problems_start_at_rest():
 @pytest.mark.thorough
 def test_bad_starts_are_named():
     system = pendulum()
-    for start, words in (
-        ("equilibriun", "start is 'equilibriun'.*'assembled', 'equilibrium'"),
-        (3.0, "start is 3.0"),
-        ({"rod.modal": [1.0]}, r"'rod.modal' is \[1.0\]; allowed: finite float64 numbers \[2\]"),
-        ({"rod.mode": [1.0, 0.0]}, "in start the quantity 'rod.mode'"),
-        ({"arm.modal": [1.0, 0.0]}, "in start the quantity 'arm.modal'"),
-        ({"arm.axes": [[1.0, 0, 0], [0, 2.0, 0], [0, 0, 1.0]]}, "'arm.axes' is not a rotation"),
-        ({"arm.velocity": [math.nan, 0.0, 0.0]}, "'arm.velocity'.*finite"),
-        (mbd.equilibrium(cantilever(gravity=1.0)), "start is a motion of 13 coordinates"),
+    for start, path in (
+        ("equilibriun", "start"),
+        (3.0, "start"),
+        ({"rod.modal": [1.0]}, "start.rod.modal"),
+        ({"rod.mode": [1.0, 0.0]}, "start.rod.mode"),
+        ({"arm.modal": [1.0, 0.0]}, "start.arm.modal"),
+        ({"arm.axes": [[1.0, 0, 0], [0, 2.0, 0], [0, 0, 1.0]]}, "start.arm.axes"),
+        ({"arm.velocity": [math.nan, 0.0, 0.0]}, "start.arm.velocity"),
+        (mbd.equilibrium(cantilever(gravity=1.0)), "start"),
     ):
-        with pytest.raises(mbd.InputError, match=words):
+        with refused(path):
             mbd.simulate(system, 0.01, steps=2, start=start)
     with refused("times", [0.0, 0.0]):
         mbd.equilibrium(system, times=[0.0, 0.0])
-    with pytest.raises(mbd.InputError, match="start is being differentiated"):
+    with refused("start"):
         mbd.simulate(
             system,
             0.01,

@@ -14,6 +14,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
+from tests.refused import refused
 from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError
 from torchmbd.integrate.jumps import steps_at, substeps_at
@@ -346,13 +347,13 @@ class WrongLater(nn.Module):
 @pytest.mark.parametrize(
     ("system", "words"),
     [
-        (lambda: loaded(wrong_later), f"law of 'push' raises NameError.* {_line(wrong_later)}"),
-        (lambda: sprung(wrong_away), f"law of 'push' .*dimensions.* {_line(wrong_away)}"),
+        (lambda: loaded(wrong_later), f"push.law raises NameError.* {_line(wrong_later)}"),
+        (lambda: sprung(wrong_away), f"push.law .*dimensions.* {_line(wrong_away)}"),
         (
             lambda: driven(wrong_later),
-            f"'motor' raises NameError.* {_line(wrong_later)}",
+            f"motor.angle raises NameError.* {_line(wrong_later)}",
         ),
-        (lambda: controlled(WrongLater()), f"'pd' raises AttributeError.* {_line(WrongLater.forward)}"),
+        (lambda: controlled(WrongLater()), f"pd.module raises AttributeError.* {_line(WrongLater.forward)}"),
     ],
 )
 def test_a_law_that_raises_is_named_with_its_line(system, words):
@@ -400,7 +401,7 @@ def test_drives_that_no_body_follows_are_found(law, jumps):
 def test_a_duration_that_moves_past_jumps_has_no_gradient():
     duration = tensor(2.0)[0].requires_grad_()
     for system in (held(1.0, -1.0), loaded(switched)):
-        with pytest.raises(InputError, match=r"duration requires a gradient, and the law of '\w+' jumps at t = 1 s"):
+        with refused("duration"):
             mbd.simulate(system, duration, steps=20)
 
 

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.refused import refused
 from tests.study.rod_model import build
 from torchmbd.errors import InputError
 from torchmbd.integrate import memory
@@ -58,22 +59,20 @@ def test_a_motion_of_a_thousand_million_steps_is_refused():
         lambda: mbd.simulate(system, 0.01, steps=10**9, method="rk4"),
         lambda: mbd.Problem(system, 0.01, mbd.Integral(mbd.StrainEnergy("rod")), steps=10**9),
     ):
-        with pytest.raises(
-            InputError, match=r"steps is 1000000000: .* takes about .* TB .* are available; allowed: up to"
-        ):
+        with refused("steps", 1000000000):
             make()
 
 
 @pytest.mark.thorough
 def test_default_steps_that_do_not_fit_are_refused():
-    with pytest.raises(InputError, match=r"steps is \d{10,}: .* of memory"):
+    with refused("steps"):
         mbd.simulate(build(), 1e6)
 
 
 def test_what_is_said_to_fit_fits(monkeypatch):
     monkeypatch.setattr(memory, "available_memory", lambda: 1e9)
     system = build()
-    with pytest.raises(InputError, match=r"about 1\.. GB of memory, 1 GB are available") as caught:
+    with refused("steps") as caught:
         memory.require_memory(system, 1, 500_000)
     most = int(re.search(r"up to (\d+) states", str(caught.value))[1])  # pyright: ignore[reportOptionalSubscript]
     memory.require_memory(system, 1, most)
@@ -85,14 +84,14 @@ def test_what_is_said_to_fit_fits(monkeypatch):
 def test_lanes_that_do_not_fit_are_refused(monkeypatch):
     monkeypatch.setattr(memory, "available_memory", lambda: 1e9)
     designs = {"rod.laminate.angles": torch.zeros(20_000, 2, dtype=torch.float64)}
-    with pytest.raises(InputError, match=r"designs have 20000 lanes, of 60 steps: .* allowed: up to \d+ lanes at once"):
+    with refused("designs"):
         mbd.simulate(build(), 0.01, steps=60, designs=designs)
 
 
 @pytest.mark.thorough
 def test_a_body_that_does_not_fit_is_refused(monkeypatch):
     monkeypatch.setattr(memory, "available_memory", lambda: 1e5)
-    with pytest.raises(InputError, match=r"system is too large: one design takes about .* allowed: smaller meshes"):
+    with refused("system"):
         mbd.simulate(build(), 0.01, steps=60)
 
 

@@ -49,7 +49,7 @@ def system() -> mbd.System:
             ["'rod.laminate.angle'", "did you mean 'rod.laminate.angles'"],
         ),
         ({"designs": {"rod.angles": torch.zeros(1, 2)}}, ["'rod.angles'", "allowed"]),
-        ({"designs": {"rod.laminate.angles": torch.zeros(1, 3)}}, ["'rod.laminate.angles'", "(1, 3)", "[lanes, 2]"]),
+        ({"designs": {"rod.laminate.angles": torch.zeros(1, 3)}}, ["rod.laminate.angles", "(1, 3)", "[lanes, 2]"]),
         (
             {"designs": {"rod.laminate.thickness": torch.tensor([[1e-3, 1e-3], [1e-3, 0.0]]).double()}},
             ["lane 1", "positive"],
@@ -83,14 +83,12 @@ def test_numbers_of_numpy_are_numbers(system):
 
 @pytest.mark.thorough
 def test_a_system_of_other_numbers_is_refused():
-    with pytest.raises(
-        InputError, match=r"parameter 'rod\.laminate\.angles' is torch\.float32; allowed: torch\.float64"
-    ):
+    with refused("rod.laminate.angles"):
         mbd.simulate(pendulum().float(), 0.01, steps=1)
     system = pendulum()
     with torch.no_grad():
         system.get_parameter("rod.laminate.angles")[1] = math.nan
-    with pytest.raises(InputError, match=r"parameter 'rod\.laminate\.angles' is .*nan\]; allowed: finite numbers"):
+    with refused("rod.laminate.angles"):
         mbd.simulate(system, 0.01, steps=1)
 
 
@@ -103,7 +101,7 @@ def test_designs_of_different_numbers_of_lanes_are_refused():
 
 
 def test_sensitivities_of_a_system_without_parameters_are_refused():
-    with pytest.raises(InputError, match="gradients is 'forward', but no parameter"):
+    with refused("gradients", "forward"):
         mbd.simulate(rigid_pendulum(), 0.01, steps=1, gradients="forward")
 
 
@@ -153,7 +151,7 @@ def test_a_motion_without_sensitivities_says_so(system):
     assert motion.dq_db is None
     assert motion.dv_db is None
     assert motion.body("rod").dw_db is None
-    with pytest.raises(InputError, match="the motion has no gradient; allowed: simulate in grad mode"):
+    with refused("motion"):
         mbd.Integral(mbd.StrainEnergy("rod")).value_and_gradient(motion)
 
 
@@ -169,7 +167,7 @@ def test_views_of_a_rigid_body(motion):
     assert_close(arm.A.mT @ arm.A, torch.eye(3, dtype=torch.float64).expand(1, 21, 3, 3), rtol=0, atol=1e-12)
     assert arm.mesh is None
     for name in ("w", "wd", "strain_energy", "displacements", "nodes", "psi", "stiffness", "dw_db"):
-        with pytest.raises(InputError, match="body 'arm' is rigid; allowed here: a flexible body"):
+        with refused("body", "arm"):
             getattr(arm, name)
     with refused("body", "am", meant="arm"):
         motion.body("am")

@@ -135,18 +135,18 @@ def test_other_steps_are_those_of_a_simulation_made_with_them():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "path"),
     [
-        ({"steps": 0}, "steps is 0"),
+        ({"steps": 0}, "steps"),
         ({"method": "eulr"}, "method"),
         ({"backend": "gpu"}, "backend"),
-        ({"start": "rest"}, "start is 'rest'"),
-        ({"phases": [mbd.Phase(until=0.5), mbd.Phase()]}, "until of the phases"),
-        ({"spectral_radios": 0.8}, "spectral_radius"),
+        ({"start": "rest"}, "start"),
+        ({"phases": [mbd.Phase(until=0.5), mbd.Phase()]}, "phases.until"),
+        ({"spectral_radios": 0.8}, "spectral_radios"),
     ],
 )
-def test_the_constructor_refuses_what_no_motion_has(arguments, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_the_constructor_refuses_what_no_motion_has(arguments, path):
+    with refused(path):
         mbd.Simulation(mbd.examples.pendulum(), 0.02, **arguments)
 
 

@@ -31,17 +31,17 @@ def test_what_is_none_is_named():
     assert (error.value.path, error.value.value) == (("x",), "steel")
     with refused("x", [[1, 2], [3]]):
         indices("x", [[1, 2], [3]])
-    with pytest.raises(InputError, match=r"x holds 1\.5; allowed: whole numbers"):
+    with refused("x"):
         indices("x", [1.0, 1.5])
     with refused("x", [1j]):
         reals("x", [1j])
-    with pytest.raises(InputError, match="x holds nan"):
+    with refused("x"):
         indices("x", [1.0, float("nan")])
 
 
 def test_numbers_that_are_none_are_named():
     for given in (None, "1", True, [1.0], 1j, float("nan"), torch.ones(2)):
-        with pytest.raises(InputError, match=r"mass of 'rod' is .* kg; allowed: a positive and finite number"):
+        with refused("mass of 'rod'"):
             positive("mass of 'rod'", given, "kg")
     for read in (lambda x: positive("mass", x, "kg"), lambda x: reals("mass", [0.0, x]), lambda x: indices("mass", x)):
         with refused("mass"):

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
 import torch
 from torch import nn
 
 from tests.refused import refused
-from torchmbd.errors import InputError
 from torchmbd.math.gradients import carries_gradient, constant_arguments, refuse_gradients, refuse_lost_gradients
 
 K = nn.Parameter(torch.ones((), dtype=torch.float64))
@@ -20,7 +18,7 @@ def test_the_walk_ends_where_things_hold_each_other():
     held.append(held)
     refuse_lost_gradients("law of 'x'", held, "none")
     held.append({"k": K})
-    with pytest.raises(InputError, match=r"law of 'x' has design variables \(\[2\] \['k'\]\)"):
+    with refused("law of 'x'"):
         refuse_lost_gradients("law of 'x'", held, "none")
 
     @constant_arguments
@@ -28,7 +26,7 @@ def test_the_walk_ends_where_things_hold_each_other():
         return y
 
     assert f(1, y=K.detach()) is not None
-    with pytest.raises(InputError, match=r"y of .*f carries a gradient"):
+    with refused("test_the_walk_ends_where_things_hold_each_other.<locals>.f.y"):
         f(1, {"a": [K]})
 
 
@@ -62,5 +60,5 @@ def test_a_global_that_only_an_inner_function_reads_is_seen():
     def law(s: Any) -> Any:
         return (lambda x: -float(K) * x)(s)
 
-    with pytest.raises(InputError, match=r"law of 'x' has design variables \(global K\)"):
+    with refused("law of 'x'"):
         refuse_lost_gradients("law of 'x'", law, "none")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
@@ -64,17 +65,17 @@ def test_derivatives_of_the_product_forward_and_reverse(matrix):
 
 
 @pytest.mark.parametrize(
-    ("rows", "cols", "message"),
+    ("rows", "cols", "path"),
     [
-        ([0, 3], [0, 0], r"rows\[1\] = 3 is outside of 0 ... 2"),
-        ([1, 0], [0, 1], r"coordinate 1 \(0, 1\) repeats or precedes"),
-        ([0, 0], [0, 0], "repeats"),
-        ([0, 0, 1], [0, 1, 1], r"entry \(0, 1\) has no mirror image"),
-        ([0, 1], [0], "2 and 1 entries"),
+        ([0, 3], [0, 0], "rows.1"),
+        ([1, 0], [0, 1], "rows.1"),
+        ([0, 0], [0, 0], "rows.1"),
+        ([0, 0, 1], [0, 1, 1], "rows.1"),
+        ([0, 1], [0], "cols"),
     ],
 )
-def test_bad_coordinates_are_named(rows, cols, message):
-    with pytest.raises(InputError, match=message):
+def test_bad_coordinates_are_named(rows, cols, path):
+    with refused(path):
         Pattern(torch.tensor(rows), torch.tensor(cols), 3)
 
 
@@ -86,7 +87,7 @@ def test_more_entries_than_an_index_counts_are_refused():
 
 
 def test_a_wrong_number_of_values_is_named(matrix):
-    with pytest.raises(InputError, match="values have shape"):
+    with refused("values"):
         SparseMatrix(matrix.pattern, matrix.values[..., 1:])
-    with pytest.raises(InputError, match="more than once"):
+    with refused("keep"):
         matrix.pattern.restrict([1, 1])

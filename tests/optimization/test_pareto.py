@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.optimization.analytic import Analytic, none
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.optimization import Criteria, pareto_front, sobol
 from torchmbd.optimization.pareto import non_dominated
@@ -254,12 +255,12 @@ def test_dominated_rows():
 
 
 def test_what_it_refuses():
-    with pytest.raises(InputError, match=r"a front needs two criteria at least"):
+    with refused("problem"):
         pareto_front(Several([1.0], lambda x: [x[0]], 1, lower=0.0, upper=2.0))
-    with pytest.raises(InputError, match="none could be evaluated"):
+    with refused("starts"):
         pareto_front(two_bowls(fails=lambda x: True))
     nowhere = Several([1.0], lambda x: [x[0], -x[0]], 2, lambda x: [x[0] + 1, 1 - x[0]], lower=-3.0, upper=2.0)
-    with pytest.raises(InputError, match="criterion 'f1': no feasible design"):
+    with refused("minimize.f1"):
         pareto_front(nowhere)
     wrong = two_bowls()
     wrong.criteria = ["f1", "f2", "f3"]

@@ -7,7 +7,6 @@ import pytest
 
 from tests.optimization.analytic import Analytic
 from tests.refused import refused
-from torchmbd.errors import InputError
 from torchmbd.optimization import RobustProblem, optimize
 from torchmbd.optimization.multistart import multistart
 
@@ -140,15 +139,13 @@ def test_what_it_refuses():
     for tolerance in (-0.1, 0.0, [0.1], np.nan):
         with refused("tolerance"):
             RobustProblem(bowl(), tolerance)
-    with pytest.raises(InputError, match="8192 corners"):
+    with refused("tolerance"):
         RobustProblem(Analytic("many", [0.0] * 13, lambda x: 1 + (x**2).sum()), 0.1, "worst")
-    with pytest.raises(
-        InputError, match=r"start \(inside the bounds by tolerance\) of x2 = -2: must lie between -1.9 and 1.9"
-    ):
+    with refused("start (inside the bounds by tolerance).x2"):
         RobustProblem(bowl(), 1.1)
     equal = bowl()
     equal.equalities = [0]
-    with pytest.raises(InputError, match="equalities"):
+    with refused("problem"):
         RobustProblem(equal, 0.1)
 
 

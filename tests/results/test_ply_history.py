@@ -13,7 +13,6 @@ import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum
 from tests.refused import refused
 from torchmbd.design.ply_failure import PlyFailure, PlyStress
-from torchmbd.errors import InputError
 from torchmbd.fem.elements import ply_basis
 from torchmbd.fem.materials import CRITERIA, Ply, Strength
 from torchmbd.integrate import Trajectory
@@ -102,16 +101,16 @@ def test_extreme_stresses_are_those_of_all_points(motions):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "path"),
     [
-        ({"component": "33"}, r"stress component '33' does not exist; allowed: .*did you mean"),
-        ({"component": "11", "extreme": "high"}, r"extreme 'high' does not exist.*did you mean 'highest'"),
-        ({"component": "11", "layer": 2}, r"layer is 2; allowed: 0 to 1"),
-        ({"component": "11", "layer": True}, r"layer is True; allowed: 0 to 1"),
+        ({"component": "33"}, "stress component"),
+        ({"component": "11", "extreme": "high"}, "extreme"),
+        ({"component": "11", "layer": 2}, "layer"),
+        ({"component": "11", "layer": True}, "layer"),
     ],
 )
-def test_stresses_that_are_not_there_are_named(given, words, motions):
-    with pytest.raises(InputError, match=words):
+def test_stresses_that_are_not_there_are_named(given, path, motions):
+    with refused(path):
         PlyStress("rod", **given).check(motions[0].system)
 
 
@@ -127,21 +126,21 @@ def test_a_constraint_on_the_peak(motions):
 def test_the_door_names_what_is_missing(motions):
     with refused("criterion", "tsai_wo", meant="tsai_wu"):
         PlyFailure("rod", "tsai_wo").check(motions[0].system)
-    with pytest.raises(InputError, match=r"body 'arm' has no plies; allowed here: a plate"):
+    with refused("body", "arm"):
         PlyFailure("arm").check(motions[0].system)
-    with pytest.raises(InputError, match=r"a ply of body 'rod' has no strength"):
+    with refused("body", "rod"):
         PlyFailure("rod").check(pendulum())
     plies = PlyHistory(motions[0], "rod")
     for criterion in ("x", ["tsai_wu"]):
         with refused("criterion"):
             plies.failure(criterion)
-        with pytest.raises(InputError, match=r"criterion of modes .* does not exist"):
+        with refused("criterion"):
             plies.modes(criterion)
-    with pytest.raises(InputError, match=r"lane is 9; allowed: 0 to"):
+    with refused("lane", 9):
         plies.modes(lane=9)
-    with pytest.raises(InputError, match=r"component is -1; allowed: 0 to 4"):
+    with refused("component", -1):
         plies.extreme(-1)
-    with pytest.raises(InputError, match=r"layer is 2; allowed: 0 to 1"):
+    with refused("layer", 2):
         plies.extreme(0, layer=2)
 
 
@@ -179,7 +178,7 @@ def test_interlaminar_needs_a_strength_of_shear():
     system = mbd.examples.arm()
     motion = mbd.simulate(system, 0.01, steps=4)
     index = mbd.PlyFailure("arm", "interlaminar")
-    with pytest.raises(mbd.InputError, match="infinite strengths S13 and S23; criterion 'interlaminar' needs one"):
+    with refused("criterion", "interlaminar"):
         index.check(system)
     assert float(mbd.Max(mbd.PlyFailure("arm", "puck"))(motion)) > 0.0
 

@@ -198,18 +198,18 @@ def test_they_are_trained_saved_and_copied(system):
 def test_what_no_parameter_can_be_is_refused_by_name():
     body = ("b", 1.0, (1.0, 1.0, 1.0))
     cases = {
-        "mass of 'b' carries": lambda: mbd.RigidBody("b", 2.0 * mbd.variable(1.0), body[2]),
-        "mass of 'b' is a Parameter of shape": lambda: mbd.RigidBody("b", parameter(1.0), body[2]),
-        "velocity of 'b'": lambda: mbd.RigidBody(*body, velocity=parameter(1.0, 2.0)),
+        "b.mass carries": lambda: mbd.RigidBody("b", 2.0 * mbd.variable(1.0), body[2]),
+        "b.mass is a Parameter of shape": lambda: mbd.RigidBody("b", parameter(1.0), body[2]),
+        "b.velocity": lambda: mbd.RigidBody(*body, velocity=parameter(1.0, 2.0)),
         "Parameter of torch.float32": lambda: mbd.RigidBody(*body, velocity=nn.Parameter(torch.zeros(3))),
-        "axes of 'b' carries": lambda: mbd.RigidBody(*body, axes=nn.Parameter(torch.eye(3, dtype=torch.float64))),
-        "inertia of 'b'": lambda: mbd.RigidBody("b", 1.0, parameter(1.0, 1.0, 5.0)),
-        "point on 'b' carries": lambda: mbd.RigidBody(*body).at(2.0 * mbd.variable(0.1)),
+        "b.axes carries": lambda: mbd.RigidBody(*body, axes=nn.Parameter(torch.eye(3, dtype=torch.float64))),
+        "b.inertia": lambda: mbd.RigidBody("b", 1.0, parameter(1.0, 1.0, 5.0)),
+        "b.point carries": lambda: mbd.RigidBody(*body).at(2.0 * mbd.variable(0.1)),
     }
     for message, make in cases.items():
         with pytest.raises(InputError, match=message):
             make()
-    with pytest.raises(InputError, match=r"mass of 'b' is .*allowed: a positive"):
+    with refused("b.mass"):
         mbd.RigidBody("b", mbd.variable(-1.0), body[2])
     slider = mbd.RigidBody(*body, position=parameter(0.0, 0.0, 0.0))
     slide = mbd.Drive(mbd.Ground().at(), slider.at(), axis="x", velocity=0.1)
@@ -219,5 +219,5 @@ def test_what_no_parameter_can_be_is_refused_by_name():
 
 
 def test_designs_with_no_mass_are_refused(system):
-    with pytest.raises(InputError, match=r"design 'ball.mass' of lane 1 is -1.0; allowed: positive numbers"):
+    with refused("ball.mass", -1.0):
         mbd.simulate(system, 0.01, designs={"ball.mass": tensor(1.0, -1.0)})

@@ -283,16 +283,16 @@ def test_loads_and_bushings(method, options):
 
 def test_variables_where_they_would_not_be_differentiated():
     hub = box("hub")
-    with pytest.raises(mbd.InputError, match="law of 'spring' has design variables"):
+    with refused("spring.law"):
         mbd.SpringDamper(GROUND.at(), hub.at(), law=torch.nn.Linear(1, 1).double(), name="spring")  # pyright: ignore
-    with pytest.raises(mbd.InputError, match="law of 'push' has design variables"):
+    with refused("push.law"):
         mbd.Force(hub.at(), torch.nn.Linear(1, 3).double(), name="push")  # pyright: ignore
     stiffness = mbd.variable(2.0)
-    with pytest.raises(mbd.InputError, match="law of 'spring' has design variables"):
+    with refused("spring.law"):
         mbd.SpringDamper(GROUND.at(), hub.at(), law=lambda s, rate, t: -stiffness * s, name="spring")
     system = sprung()
     phases = [mbd.Phase(until=0.01), mbd.Phase(laws={"coil": mbd.forces.Spring(mbd.variable(1.0))})]  # pyright: ignore
-    with pytest.raises(mbd.InputError, match="coil in phase 2' has design variables"):
+    with refused("coil in phase 2.law"):
         mbd.simulate(system, 0.02, steps=4, phases=phases)
 
 
@@ -309,5 +309,5 @@ def test_what_names_of_laws_may_not_be():
             made(*given)
     with refused("variable", float("nan")):
         mbd.variable(math.nan)
-    with pytest.raises(mbd.InputError, match="speed of 'motor'"):
+    with refused("motor.speed"):
         mbd.Drive(GROUND, box("hub"), name="motor", speed=nn.Parameter(torch.ones(2)))  # pyright: ignore

@@ -9,6 +9,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum, tensor
+from tests.refused import refused
 from torchmbd.multibody.forces import OfTime, Pieces, Spring
 
 GROUND, MASS, FIRST, SECOND, BORDER = mbd.Ground(), 2.0, 3.0, -5.0, 0.4
@@ -105,10 +106,10 @@ def test_gradients_through_both_against_differences():
 
 
 def test_bad_laws_of_phases_are_named():
-    for laws, words in (
-        ({"motr": OfTime(1.0)}, "in laws of phase '2' the force 'motr' does not exist; allowed: actuator"),
-        ({"actuator": 3.0}, "law of 'actuator in phase 2' is 3.0; allowed: a torch function"),
-        ({"actuator": OfTime(float("nan"))}, "law of 'actuator in phase 2' gives .*finite"),
+    for laws, path in (
+        ({"motr": OfTime(1.0)}, "phases.2.laws"),
+        ({"actuator": 3.0}, "actuator in phase 2.law"),
+        ({"actuator": OfTime(float("nan"))}, "actuator in phase 2.law"),
     ):
-        with pytest.raises(mbd.InputError, match=words):
+        with refused(path):
             mbd.simulate(Pushed(OfTime(1.0)), 1.0, steps=10, phases=[PIECES[0], mbd.Phase(laws=laws)])

@@ -122,14 +122,14 @@ def test_a_system_is_copied_and_pickled():
 
 def test_what_is_refused():
     computed = 2.0 * nn.Parameter(BENT.clone())
-    with pytest.raises(mbd.InputError, match="nodes of a BeamLine carries a gradient"):
+    with refused("BeamLine.nodes"):
         mbd.BeamLine(computed)
-    with pytest.raises(mbd.InputError, match="the module of a BeamLine returns"):
+    with refused("nodes"):
         mbd.BeamLine(nn.Linear(1, 1).requires_grad_(False).apply(lambda m: setattr(m, "forward", lambda: 1.0)))
     with refused("nodes"):
         mbd.BeamLine(nn.Parameter(BENT[:2].clone()), middles=[[0.05, 0.01, 0.0]])
     rod = beam(section(), line=mbd.BeamLine.straight(V(0.3), elements=4))
-    with pytest.raises(mbd.InputError, match="whose nodes vary; allowed: one node"):
+    with refused("rod.node"):
         rod.at([0, 1])
     system = arm(LINES["length"]())
     with refused("rod.line.length"):

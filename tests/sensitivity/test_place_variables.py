@@ -9,6 +9,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, SOFT, box, laminate, plate, tensor, turned
+from tests.refused import refused
 from tests.sensitivity.number_cases import GROUND, check, check_native, hung, number
 
 V = mbd.variable
@@ -104,14 +105,14 @@ def test_the_closed_form_of_a_pendulum():
 def test_what_is_refused():
     ball = mbd.RigidBody("ball", 1.0, (0.1, 0.1, 0.1))
     rod = plate("rod")
-    for make, words in (
-        (lambda: ball.at(2.0 * V(0.1)), r"point on 'ball' carries a gradient.*mbd\.variable"),
-        (lambda: rod.at("left", offset=(V(0.1), 0.0, 0.0)), "offset carries a gradient"),
-        (lambda: rod.bent((V(0.1), 0.0, 0.0)), "modal of 'rod' carries a gradient.*torch.nn.Parameter"),
-        (lambda: rod.bent((0.1,)), "modal of 'rod' is .*; allowed: 3 finite numbers"),
+    for make, path in (
+        (lambda: ball.at(2.0 * V(0.1)), "ball.point"),
+        (lambda: rod.at("left", offset=(V(0.1), 0.0, 0.0)), "offset"),
+        (lambda: rod.bent((V(0.1), 0.0, 0.0)), "rod.modal"),
+        (lambda: rod.bent((0.1,)), "rod.modal"),
     ):
-        with pytest.raises(mbd.InputError, match=words):
+        with refused(path):
             make()
     slide = mbd.Drive(GROUND.at(), ball.at(V(0.1)), axis="x", velocity=0.1)
-    with pytest.raises(mbd.InputError, match="coordinates or axes that vary, but a displacement"):
+    with refused("frame"):
         mbd.System([ball], [mbd.Prismatic(GROUND.at(), ball.at(), axis="x"), slide])

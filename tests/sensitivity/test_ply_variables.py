@@ -131,12 +131,12 @@ def test_a_problem_with_bounds():
 
 
 def test_what_is_refused():
-    with pytest.raises(mbd.InputError, match=r"(?s)Ply: E1 = Parameter.*mbd.variable"):
+    with refused("E1"):
         ply(E1=torch.nn.Parameter(torch.ones(2, dtype=torch.float64)))
     with refused("E1", -1.0):
         ply(E1=V(-1.0))
     with refused("Ply.isotropic.E", -1.0):
         mbd.Ply.isotropic(V(-1.0), 0.3, 2700.0)
     system = laminated()
-    with pytest.raises(mbd.InputError, match=r"ply0.E1.*allowed: positive"):
+    with refused("rod.laminate.ply0.E1"):
         number(system, {"rod.laminate.ply0.E1": torch.tensor([1e8, -1.0], dtype=torch.float64)})

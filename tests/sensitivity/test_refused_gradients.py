@@ -13,6 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import CARBON, box, laminate, plate, tensor
+from tests.refused import refused
 
 GROUND = mbd.Ground()
 STEEL = mbd.Ply.isotropic(2.1e11, 0.3, 7850.0)
@@ -93,7 +94,7 @@ def laws() -> dict[str, Callable[..., Tensor]]:
 @pytest.mark.parametrize("kind", laws())
 def test_a_law_of_a_force_that_holds_a_parameter_is_refused(kind):
     body, law = box("arm"), laws()[kind]
-    with pytest.raises(mbd.InputError, match=r"law of 'spring'.*mbd\.variable"):
+    with refused("spring.law"):
         mbd.SpringDamper(GROUND.at(), body.at(0.1, 0.0, 0.0), law=law, name="spring")
 
 
@@ -105,14 +106,14 @@ def test_a_law_of_time_that_holds_a_parameter_is_refused(kind):
         return law(t, t, t)
 
     body = box("arm")
-    with pytest.raises(mbd.InputError, match=r"angle of 'motor' has design variables .*a torch module of time"):
+    with refused("motor.angle"):
         mbd.Drive(GROUND, body, angle=of_time, name="motor")
     for make in (
         lambda: mbd.Force(body.at(), lambda t: torch.stack([of_time(t)] * 3), name="push"),
         lambda: mbd.Torque(body.at(), lambda t: torch.stack([of_time(t)] * 3), name="push"),
         lambda: mbd.Pressure(plate("rod"), of_time, name="push"),
     ):
-        with pytest.raises(mbd.InputError, match="law of 'push' has design variables"):
+        with refused("push.law"):
             make()
 
 
@@ -121,7 +122,7 @@ def test_a_module_as_the_law_of_a_drive_keeps_its_parameters_but_may_hide_none()
     drive = mbd.Drive(GROUND, body, angle=Net(), name="motor")
     system = mbd.System([body], [mbd.Revolute(GROUND.at(), body.at()), drive])
     assert [name for name, _ in system.named_parameters()] == ["motor.k"]
-    with pytest.raises(mbd.InputError, match=r"motor.*attribute _hidden"):
+    with refused("motor.angle"):
         mbd.Drive(GROUND, body, angle=Net(hidden=parameter(1.0)[0]), name="motor")
 
 
@@ -131,7 +132,7 @@ def test_what_becomes_a_parameter_later_is_refused_when_it_is_simulated():
     system = mbd.System([body], forces=[spring], free=["arm"])
     mbd.simulate(system, 0.01, steps=4)
     k.requires_grad_()
-    with pytest.raises(mbd.InputError, match=r"law of a force has design variables \(closure k\)"):
+    with refused("law of a force"):
         mbd.simulate(system, 0.01, steps=4)
 
 
@@ -152,7 +153,7 @@ def test_a_buffer_that_requires_a_gradient_is_refused():
     body = box("arm")
     system = mbd.System([body], free=["arm"])
     body.mass.requires_grad_()
-    with pytest.raises(mbd.InputError, match=r"'arm\.mass' is a constant"):
+    with refused("arm.mass"):
         mbd.simulate(system, 0.01, steps=4)
 
 
@@ -174,11 +175,11 @@ def test_a_laminate_refuses_what_is_computed_and_the_advice_is_right():
     net = nn.Linear(2, 3, dtype=torch.float64)
     x = net(tensor(0.3, -0.4))
     for angles in (x, tensor(0.1, 0.2, 0.3).requires_grad_(), [x[0], 0.1, 0.2]):
-        with pytest.raises(mbd.InputError, match=r"angles of a Laminate carries a gradient.*x\.backward\(p\.grad\)"):
+        with refused("Laminate.angles"):
             mbd.Laminate(mbd.Ply(**CARBON), angles, 1e-3)
-    with pytest.raises(mbd.InputError, match="thickness of a Laminate carries a gradient"):
+    with refused("Laminate.thickness"):
         mbd.Laminate(mbd.Ply(**CARBON), [0.1, 0.2, 0.3], x.exp())
-    with pytest.raises(mbd.InputError, match=r"Parameter of torch\.float32"):
+    with refused("Laminate.angles"):
         mbd.Laminate(mbd.Ply(**CARBON), nn.Parameter(torch.zeros(3)), 1e-3)
     own = mbd.Laminate(mbd.Ply(**CARBON), x.detach(), 1e-3)
     own.stiffness().D.sum().backward()
@@ -204,21 +205,21 @@ REFUSED: dict[str, Callable[[Any], Any]] = {
     "offset": lambda v: plate("p").at("left", offset=(v, 0.0, 0.0)),
     "weights": lambda v: plate("p").at([0, 1], weights=[v, 1.0]),
     "velocity ": lambda v: plate("p").moving((v, 0.0, 0.0)),
-    "damping ratio": lambda v: plate("p").damped([v, v, v]),
+    "p.damping.ratio": lambda v: plate("p").damped([v, v, v]),
     "length": lambda v: mbd.Distance(GROUND.at(), box("b").at(), length=v),
     "gravity": lambda v: mbd.System([box("b")], gravity=(0.0, 0.0, v), free=["b"]),
     "stabilization": lambda v: mbd.System([box("b")], stabilization=v, free=["b"]),
-    "nodes of a BeamLine": lambda v: mbd.BeamLine([[0.0, 0.0, 0.0], [v, 0.0, 0.0]]),
-    "middles of a BeamLine": lambda v: mbd.BeamLine([[0.0] * 3, [1.0, 0.0, 0.0]], middles=[[v, 0.0, 0.0]]),
-    "radius of BeamLine": lambda v: mbd.BeamLine.arc(v, 1.0),
-    "nodes of a Mesh": lambda v: mbd.Mesh(SQUARE.nodes * v, SQUARE.triangles),
-    "rectangle: length": lambda v: mbd.mesh.rectangle(length=v, width=0.1, cells=(2, 2)),
-    "stiffness of a section": lambda v: mbd.GivenSection(v * torch.eye(6), torch.eye(6)),
-    "angles of box": lambda v: mbd.sections.box(0.1, 0.1, STEEL, [v], 1e-3),
+    "BeamLine.nodes": lambda v: mbd.BeamLine([[0.0, 0.0, 0.0], [v, 0.0, 0.0]]),
+    "BeamLine.middles": lambda v: mbd.BeamLine([[0.0] * 3, [1.0, 0.0, 0.0]], middles=[[v, 0.0, 0.0]]),
+    "BeamLine.arc.radius": lambda v: mbd.BeamLine.arc(v, 1.0),
+    "Mesh.nodes": lambda v: mbd.Mesh(SQUARE.nodes * v, SQUARE.triangles),
+    "length ": lambda v: mbd.mesh.rectangle(length=v, width=0.1, cells=(2, 2)),
+    "section.stiffness": lambda v: mbd.GivenSection(v * torch.eye(6), torch.eye(6)),
+    "box.angles": lambda v: mbd.sections.box(0.1, 0.1, STEEL, [v], 1e-3),
     "direction": lambda v: mbd.Pressure(plate("p"), 1.0, direction=(v, 0.0, 0.0)),
     "knots": lambda v: mbd.forces.Table(((0.0, 0.0), (1.0, v))),
     "a number of Pieces": lambda v: mbd.forces.Pieces((0.0,), (0.0, v), (1.0, 1.0), 0.1),
-    "stiffness of a Gap": lambda v: mbd.forces.Gap(v),
+    "Gap.stiffness": lambda v: mbd.forces.Gap(v),
     "time of AtTime": lambda v: mbd.AtTime(mbd.StrainEnergy("p"), time=v),
     "times of AtTimes": lambda v: mbd.AtTimes(mbd.StrainEnergy("p"), times=[0.0, v]),
     "window of Integral": lambda v: mbd.Integral(mbd.StrainEnergy("p"), window=(0.0, v)),
@@ -246,19 +247,19 @@ def test_a_number_without_a_gradient_refuses_a_variable(name, kind):
 
 TAKEN: dict[str, Callable[[Any], Any]] = {
     "damping": lambda v: plate("p", damping=v),
-    "damping rate": lambda v: plate("p").damped(rate=v),
-    "point on": lambda v: box("b").at(v, 0.0, 0.0),
-    "length of BeamLine": lambda v: mbd.BeamLine.straight(v),
+    "p.damping.rate": lambda v: plate("p").damped(rate=v),
+    "b.point": lambda v: box("b").at(v, 0.0, 0.0),
+    "BeamLine.straight.length": lambda v: mbd.BeamLine.straight(v),
     "point": lambda v: GROUND.at(0.0, v, 0.0),
-    "E of GivenSection": lambda v: mbd.GivenSection.isotropic(v, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0),
+    "GivenSection.isotropic.E": lambda v: mbd.GivenSection.isotropic(v, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0),
     "E1": lambda v: mbd.Ply(v, 0.5, *[0.2] * 3, nu12=0.2, density=1e3),
-    "width of rectangle": lambda v: mbd.sections.rectangle(v, 0.2, STEEL, cells=(1, 1)),
-    "height of box": lambda v: mbd.sections.box(0.1, v, STEEL, [0.0], 1e-3, cells=(1, 1, 1)),
-    "thickness of i_section": lambda v: mbd.sections.i_section(
+    "rectangle.width": lambda v: mbd.sections.rectangle(v, 0.2, STEEL, cells=(1, 1)),
+    "box.height": lambda v: mbd.sections.box(0.1, v, STEEL, [0.0], 1e-3, cells=(1, 1, 1)),
+    "i_section.thickness": lambda v: mbd.sections.i_section(
         3.0, 4.0, STEEL, dict.fromkeys(("top", "web", "bottom"), (0.0,)), v, cells=(1, 1, 1)
     ),
-    "radius of tube": lambda v: mbd.sections.tube(v, STEEL, [0.0], 1e-3, cells=(8, 1)),
-    "radius of circle": lambda v: mbd.sections.circle(v, STEEL, cells=(1, 1)),
+    "tube.radius": lambda v: mbd.sections.tube(v, STEEL, [0.0], 1e-3, cells=(8, 1)),
+    "circle.radius": lambda v: mbd.sections.circle(v, STEEL, cells=(1, 1)),
     "E3": lambda v: mbd.sections.Orthotropic(1.0, 1.0, v, *[1.0] * 3, *[0.1] * 3, density=1e3),
     "Xt": lambda v: mbd.Strength(Xt=v, Xc=1.0, Yt=1.0, Yc=1.0, S12=1.0),
 }
@@ -270,7 +271,7 @@ def test_a_variable_is_taken_and_what_is_computed_of_one_is_refused(name):
     v = mbd.variable(1.0)
     TAKEN[name](v)
     wrong = [2.0 * v, v.detach().clone().requires_grad_(), nn.Parameter(v.detach().float())]
-    for x in wrong if name.startswith("thickness") else [*wrong, parameter(1.0)]:  # one thickness of one ply is right
+    for x in wrong if name == "i_section.thickness" else [*wrong, parameter(1.0)]:  # one thickness of one ply is right
         with pytest.raises(mbd.InputError, match=rf"(?s){name}.*mbd\.variable"):
             TAKEN[name](x)
 

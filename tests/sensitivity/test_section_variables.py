@@ -153,5 +153,5 @@ def test_walls_that_do_not_fit_are_refused():
     system = hung(beam(SECTIONS["tube"]()), "start")
     with refused("rod.section.thickness"):
         mbd.simulate(system, 0.01, steps=2, designs={"rod.section.thickness": tensor(-1e-3)})
-    with pytest.raises(mbd.InputError, match="inside out"):
+    with refused("dimensions"):
         mbd.simulate(system, 0.01, steps=2, designs={"rod.section.thickness": tensor(6e-3)})

@@ -19,8 +19,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.refused import refused
 from torchmbd import cli
-from torchmbd.errors import InputError
 from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.study.cluster import load_cluster
 from torchmbd.study.dask_evaluator import study_workers
@@ -138,7 +138,7 @@ def test_workers_must_be_asked_for(slurm, folder, monkeypatch, capsys):
     (folder / "study.yaml").write_text(Path(__file__).with_name("study.yaml").read_text())
     monkeypatch.chdir(folder)
     plan = load_study("study.yaml")
-    with pytest.raises(InputError, match="workers = 0: must be 1 or more"):
+    with refused("workers", 0):
         study_workers(plan, "", 1, 0, str(write(slurm)))
     assert study_workers(plan, "", 1, 3, str(write(slurm))).lanes == 3 * LANES
     assert cli.main(["run", "study.yaml", "--scheduler", str(write(slurm, time=3))]) == 2

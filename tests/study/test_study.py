@@ -17,6 +17,7 @@ from rich.console import Console
 
 import torchmbd as mbd
 from tests.optimization.analytic import Analytic
+from tests.refused import refused
 from tests.study.rod_model import build
 from torchmbd.optimization import Evaluation
 from torchmbd.study.compare import print_best
@@ -82,7 +83,7 @@ def test_it_is_tracked_and_reported(own, small):
     assert "angle_1_deg" in page or "angle 1" in page
     assert len(small.plot().axes) == 2
     assert "best" in repr(small)
-    with pytest.raises(mbd.InputError, match="made in Python"):
+    with refused("run"):
         mbd.load("small")
     shutil.copytree(own, own / "copy", ignore=lambda folder, names: {"copy"} & {*names})
     shutil.rmtree(own / "mlartifacts")
@@ -243,24 +244,24 @@ def test_scenarios_are_a_study_like_any_other(own):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "path"),
     [
-        ({"method": "mmdf"}, "did you mean 'mmfd'"),
-        ({"name": ""}, "name is ''; allowed: words in one line"),
-        ({"starts": [[0.0]]}, "start has 1 entries, allowed: 2"),
-        ({"starts": [[0.0, 9.0]]}, "must lie between"),
-        ({"increments": {"rod.laminate.angle": 0.1}}, "increments of parameter 'rod.laminate.angle' does not exist"),
-        ({"units": {"rod.laminate.angles": "grad"}}, "unit 'grad' does not exist"),
-        ({"sweep": {"rod.laminate.angles": (0.0, 1.0, 3)}}, "swept variable"),
-        ({"sweep": {"rod.laminate.angles[0]": (0.0, 1.0)}}, "allowed: one variable -> "),
-        ({"sweep": {"rod.laminate.angles[0]": ("a", 1.0, 3)}}, "first value of sweep = 'a'"),
-        ({"sweep": "rod.laminate.angles"}, "allowed: one variable -> "),
-        ({"increments": 5.0}, "increments is 5.0; allowed: parameter -> step"),
-        ({"units": "deg"}, "units is 'deg'; allowed: parameter -> unit"),
-        ({"max_iteration": 3}, "option 'max_iteration' does not exist"),
-        ({"uri": "runs.db"}, "a store is one of"),
+        ({"method": "mmdf"}, "method"),
+        ({"name": ""}, "name"),
+        ({"starts": [[0.0]]}, "start"),
+        ({"starts": [[0.0, 9.0]]}, "start.rod.laminate.angles[1]"),
+        ({"increments": {"rod.laminate.angle": 0.1}}, "increments.rod.laminate.angle"),
+        ({"units": {"rod.laminate.angles": "grad"}}, "units.rod.laminate.angles"),
+        ({"sweep": {"rod.laminate.angles": (0.0, 1.0, 3)}}, "sweep.rod.laminate.angles"),
+        ({"sweep": {"rod.laminate.angles[0]": (0.0, 1.0)}}, "sweep"),
+        ({"sweep": {"rod.laminate.angles[0]": ("a", 1.0, 3)}}, "first value of sweep"),
+        ({"sweep": "rod.laminate.angles"}, "sweep"),
+        ({"increments": 5.0}, "increments"),
+        ({"units": "deg"}, "units"),
+        ({"max_iteration": 3}, "max_iteration"),
+        ({"uri": "runs.db"}, "uri"),
     ],
 )  # fmt: skip
-def test_what_is_refused(small, arguments, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_what_is_refused(small, arguments, path):
+    with refused(path):
         mbd.Study(small.problem, **arguments)

@@ -12,7 +12,6 @@ import torch
 
 import torchmbd as mbd
 from tests.refused import refused
-from torchmbd.errors import InputError
 from torchmbd.fem.materials import Laminate, Ply
 from torchmbd.fem.mesh import rectangle
 from torchmbd.integrate import simulate
@@ -111,22 +110,22 @@ def test_the_file_needs_no_network(motion, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "argument"),
     [
-        ({"lane": 2}, "lane = 2: allowed: 0 to 1"),
-        ({"path": "m.txt"}, r"ends in \.html"),
-        ({"max_frames": 1}, "max_frames = 1"),
+        ({"lane": 2}, "lane"),
+        ({"path": "m.txt"}, "path"),
+        ({"max_frames": 1}, "max_frames"),
     ],
 )
-def test_bad_arguments_are_named(motion, tmp_path, change, message):
+def test_bad_arguments_are_named(motion, tmp_path, change, argument):
     arguments = {"path": "m.html"} | change
-    with pytest.raises(InputError, match=message):
+    with refused(argument):
         animate(motion, tmp_path / arguments.pop("path"), **arguments)
 
 
 def test_a_failed_lane_is_not_shown(motion, tmp_path, monkeypatch):
     monkeypatch.setattr(motion, "status", ["ok", "failed: not finite"])
-    with pytest.raises(InputError, match="lane 1 has no motion to show: failed: not finite"):
+    with refused("lane", 1):
         animate(motion, tmp_path / "m.html", lane=1)
 
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 import torchmbd as mbd
 from tests.fem.elements.beam_cases import coupled_section
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.fem.elements import BeamLine
 from torchmbd.viz import animate, film
 from torchmbd.viz.animation import scene_of
@@ -70,15 +70,15 @@ def test_a_film_lasts_as_long_as_asked_and_its_time_runs_evenly(tmp_path, monkey
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "argument"),
     [
-        ({"path": "m.avi"}, r"ends in \.gif or \.mp4"),
-        ({"lane": 3}, "lane = 3"),
-        ({"view": "w"}, "view = 'w'; allowed: x, y, z"),
-        ({"seconds": 0.0}, "two frames or more"),
+        ({"path": "m.avi"}, "path"),
+        ({"lane": 3}, "lane"),
+        ({"view": "w"}, "view"),
+        ({"seconds": 0.0}, "seconds"),
     ],
 )
-def test_bad_arguments_are_named(beam_motion, tmp_path, change, message):
+def test_bad_arguments_are_named(beam_motion, tmp_path, change, argument):
     arguments = {"path": "m.gif"} | change
-    with pytest.raises(InputError, match=message):
+    with refused(argument):
         film(beam_motion, tmp_path / arguments.pop("path"), **arguments)

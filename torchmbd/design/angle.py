@@ -63,8 +63,14 @@ class Angle(History):
         if self.seen_from != GROUND:
             system.body(self.seen_from)
         if self.seen_from == self.body:
-            raise InputError(f"angle of {self.body!r} seen from itself is zero; allowed: another body, or 'ground'")
-        scalar("center of an angle", self.center, "a finite number [rad]")
+            raise InputError(
+                "seen_from",
+                self.body,
+                "another body, or 'ground'",
+                state="is zero",
+                noun=f"angle of {self.body!r} seen from itself",
+            )
+        scalar(("Angle", "center"), self.center, "a finite number [rad]")
         if not isinstance(self.wrapped, bool):
             raise InputError("wrapped", self.wrapped, "True or False")
 

@@ -49,7 +49,7 @@ class AtTimes(OfHistory):
         if self.times is None:
             return
         if self.window is not None:
-            raise InputError("times and window are both given; allowed: one of them")
+            raise InputError("times", self.times, "one of them", state="are both given", noun="times and window")
         if not len(self.times) or not all(0.0 <= float(t) < float("inf") for t in self.times):
             raise InputError("times", self.times, "at least one time, zero or positive [s]")
 

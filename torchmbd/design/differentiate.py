@@ -85,7 +85,7 @@ def push_forward(f: Callable[[Any], Tensor], motion: Trajectory) -> ValueAndGrad
     """
     made = motion.integration
     if not isinstance(made, ForwardIntegration) or not motion.variables:
-        raise InputError("the motion has no tangents; allowed: simulate(..., gradients='forward')")
+        raise InputError("motion", allowed="simulate(..., gradients='forward')", state="has no tangents")
     names, designs = list(motion.variables), {name: x.detach() for name, x in motion.designs.items()}
     moving = {name: designs[name] for name in names}
     directions = _units(moving)

@@ -98,7 +98,12 @@ def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: 
         ) from error
     if not isinstance(result, Tensor) or result.shape != shape or not result.is_floating_point():
         returned = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)
-        raise InputError(f"response {name!r} returned {returned}; allowed: a tensor of shape {shape}, real numbers")
+        raise InputError(
+            ("response", name),
+            allowed=f"a tensor of shape {shape}, real numbers",
+            state=f"returned {returned}",
+            noun=f"response {name!r}",
+        )
     if torch.is_grad_enabled() and motion.q.requires_grad and not result.requires_grad:
         warn(
             f"response {name!r} has a gradient of zero: its result does not follow from the motion by operations of torch; "

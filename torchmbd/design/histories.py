@@ -167,7 +167,11 @@ class Displacement(Position):
         super().check(system)
         if self.observer == self.body and self.node is None:
             raise InputError(
-                f"displacement of the origin of {self.body!r} seen from itself is zero; allowed: a node, or seen_from"
+                "seen_from",
+                self.body,
+                "a node, or seen_from",
+                state="is zero",
+                noun=f"displacement of the origin of {self.body!r} seen from itself",
             )
 
     @property
@@ -277,10 +281,10 @@ class Reaction(History):
         unit_vector(self.axis)
         joint = joint_named(system, self.joint)
         if self.kind not in ("force", "torque"):
-            raise unknown("kind of reaction", self.kind, ("force", "torque"))
+            raise unknown(("Reaction", "kind"), self.kind, ("force", "torque"))
         bodies = tuple(dict.fromkeys(frame.body.name for frame in joint.frames))
         if self.on is not None and self.on not in bodies:
-            raise unknown(f"body of joint {self.joint!r}:", self.on, bodies)
+            raise unknown((self.joint, "body"), self.on, bodies)
         if self.axes not in (None, GROUND):
             system.body(self.axes)
 

@@ -85,10 +85,14 @@ class OfHistory(Measure):
 def _require_history(measure: Measure, history: object) -> None:
     name = type(measure).__name__
     if not isinstance(history, History):
-        raise InputError(f"{name} of {history!r}; allowed: a history, such as StrainEnergy('rod')")
+        raise InputError("history", history, "a history, such as StrainEnergy('rod')", noun=f"history of {name}")
     if not history.smooth:
         raise InputError(
-            f"{name} of an angle with wrapped=True, which jumps between the samples; allowed: the continuous angle"
+            ("history", "wrapped"),
+            True,
+            "the continuous angle",
+            state="jumps between the samples",
+            noun=f"{name} of an angle with wrapped=True, which",
         )
 
 

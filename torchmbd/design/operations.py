@@ -39,7 +39,7 @@ def operand(part: Any, kind: type, noun: str, allowed: str) -> Any:
     """Return a response of this kind or a number of Python as it is, another number, such as mbd.deg(90), as a float."""
     if isinstance(part, kind):
         return part
-    number = scalar(f"operand of a {noun}", part, allowed)
+    number = scalar("operand", part, allowed)
     return part if isinstance(part, (int, float)) else number
 
 

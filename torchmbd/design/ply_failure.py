@@ -59,7 +59,13 @@ class PlyFailure(History):
             raise unknown("criterion", self.criterion, CRITERIA)
         strengths = [ply.strength for ply in plies_of(system.body(self.body))]
         if any(strength is None for strength in strengths):
-            raise InputError(f"a ply of body {self.body!r} has no strength; allowed: Ply(..., strength=Strength(...))")
+            raise InputError(
+                "body",
+                self.body,
+                "Ply(..., strength=Strength(...))",
+                state="has no strength",
+                noun=f"a ply of body {self.body!r}",
+            )
         if self.criterion == "interlaminar":
             _check_interlaminar(self.body, system.body(self.body), [s for s in strengths if s is not None])
 
@@ -76,7 +82,11 @@ def _check_interlaminar(name: str, body: Any, strengths: Sequence[Strength]) -> 
     """InputError without shear strengths; a warning if triangles are too long for accurate shear forces of plates."""
     if not all(math.isfinite(number(s.S13)) or math.isfinite(number(s.S23)) for s in strengths):
         raise InputError(
-            f"a ply of body {name!r} has infinite strengths S13 and S23; criterion 'interlaminar' needs one of them"
+            "criterion",
+            "interlaminar",
+            rule="has infinite strengths S13 and S23; criterion 'interlaminar' needs one of them",
+            shown="",
+            noun=f"a ply of body {name!r}",
         )
     for part in getattr(body, "plates", {}).values():
         triangles = part.matrices.kinds.get("triangle")

@@ -235,7 +235,9 @@ class Measure(ConstantArguments):
         if isinstance(divisor, Measure):
             return CombinedMeasure(torch.div, (self, divisor))
         if not is_number(divisor) or not divisor:
-            raise InputError(f"a measure is divided by {divisor!r}; allowed: a finite number but 0")
+            raise InputError(
+                "divisor", divisor, "a finite number but 0", state=f"is divided by {divisor!r}", noun="a measure"
+            )
         return Total([(1.0 / divisor, self)])
 
     def __neg__(self) -> Measure:
@@ -264,7 +266,9 @@ class Measure(ConstantArguments):
         result = self.of(motion)
         if result.gradient is None:
             raise InputError(
-                "the motion has no gradient; allowed: simulate in grad mode, by a parameter that requires a gradient"
+                "motion",
+                allowed="simulate in grad mode, by a parameter that requires a gradient",
+                state="has no gradient",
             )
         return result
 
@@ -289,7 +293,7 @@ def require_scalar_measures(parts: Iterable[Any], kind: str) -> None:
     """InputError unless every part is a measure of one number."""
     for part in parts:
         if not isinstance(part, Measure) or part.rows != 1:
-            raise InputError(f"{kind} of {part!r}; allowed: measures of one number, such as Integral(...)")
+            raise InputError("parts", part, "measures of one number, such as Integral(...)", noun=f"part of {kind}")
 
 
 @dataclass(frozen=True)
@@ -300,7 +304,7 @@ class Total(Measure):
 
     def __post_init__(self) -> None:
         require_scalar_measures([measure for _, measure in self.terms], "sum")
-        settle(self, "terms", [(scalar("factor of a measure", factor), measure) for factor, measure in self.terms])
+        settle(self, "terms", [(scalar(("Measure", "factor"), factor), measure) for factor, measure in self.terms])
 
     def value(self, motion: Trajectory) -> Tensor:
         return torch.stack([factor * measure.value(motion) for factor, measure in self.terms]).sum(0)
@@ -331,7 +335,7 @@ class CombinedMeasure(Measure):
         settle(self, "parts", tuple(operand(part, Measure, "measure", allowed) for part in self.parts))
         for part in self.parts:
             if isinstance(part, Measure) and part.rows != 1:
-                raise InputError(f"a measure is combined with {part!r}; allowed: {allowed}")
+                raise InputError("parts", part, allowed, state=f"is combined with {part!r}", noun="a measure")
 
     def value(self, motion: Trajectory) -> Tensor:
         return self.operation(*(part.value(motion) if isinstance(part, Measure) else part for part in self.parts))
@@ -382,9 +386,11 @@ class Constraint(ConstantArguments):
 
     def __post_init__(self) -> None:
         if not isinstance(self.measure, Measure):
-            raise InputError(f"constraint on {self.measure!r}; allowed: a measure, such as Max(StrainEnergy('rod'))")
+            raise InputError(
+                "measure", self.measure, "a measure, such as Max(StrainEnergy('rod'))", noun="measure of a constraint"
+            )
         if not isinstance(self.limit, str) or self.limit != "initial":
-            settle(self, "limit", scalar("limit of a constraint", self.limit, "a finite number or 'initial'"))
+            settle(self, "limit", scalar(("Constraint", "limit"), self.limit, "a finite number or 'initial'"))
         if self.kind not in KINDS:
             raise InputError("kind", self.kind, ", ".join(KINDS), noun="kind of a constraint")
         if self.scale is not None and not (is_number(self.scale) and float(self.scale) > 0.0):

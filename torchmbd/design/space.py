@@ -104,7 +104,9 @@ class DesignSpace:
         self.variables = list(variables) if variables else [name for name, x in parameters.items() if x.requires_grad]
         if not self.variables:
             raise InputError(
-                "the system has no parameter that requires a gradient; allowed: at least one design variable"
+                "variables",
+                allowed="at least one design variable",
+                state="has no parameter that requires a gradient",
             )
         self.shapes = {name: parameters[name].shape for name in self.variables}
         self.entries = [f"{name}[{i}]" for name in self.variables for i in range(parameters[name].numel())]

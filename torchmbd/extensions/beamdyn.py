@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, within, wrong_entry
 from torchmbd.fem.exact_beam import SectionTable
 
 __all__ = ["read_beamdyn"]
@@ -42,7 +42,7 @@ def read_beamdyn(path: str | Path) -> SectionTable:
     try:
         return SectionTable(positions, sections)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise within(path, error) from None
 
 
 def _stations(path: str | Path) -> list[np.ndarray]:
@@ -69,7 +69,7 @@ def _stations(path: str | Path) -> list[np.ndarray]:
         try:
             numbers += [float(word.lower().replace("d", "e")) for word in words[:count]]
         except ValueError as error:
-            raise InputError(f"{file}, line {k}: {error}; allowed: {count} numbers") from None
+            raise wrong_entry(f"{file}, line {k}", f"{error}", f"{count} numbers") from None
         if len(words) < count:
-            raise InputError(f"{file}, line {k}: {len(words)} numbers; allowed: {count}")
+            raise wrong_entry(f"{file}, line {k}", f"{len(words)} numbers", f"{count}")
     return list(np.array(numbers).reshape(-1, 73))

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.io
 import scipy.sparse
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, wrong_entry
 from torchmbd.extensions.nastran.cards import read_cards
 from torchmbd.multibody.bodies.given_matrices import LabeledMatrix
 
@@ -77,12 +77,12 @@ def _read(file: Path) -> dict[str, LabeledMatrix | InputError]:
         return dict(_op4(file))
     if suffix in (".dmig", ".pch", ".bdf", ".dat"):
         return _dmig(file)
-    raise InputError(f"{file.name}: its ending is {suffix!r}; allowed: .mtx, .mm, .op4, .dmig, .pch, .bdf, .dat")
+    raise InputError("path", suffix, ".mtx, .mm, .op4, .dmig, .pch, .bdf, .dat", noun=f"{file.name}: its ending")
 
 
 def _square(where: str, rows: int, columns: int) -> None:
     if rows != columns or not 0 < rows <= LARGEST:
-        raise InputError(f"{where}: a matrix of {rows} x {columns}; allowed: square, at most {LARGEST} rows")
+        raise wrong_entry(where, f"a matrix of {rows} x {columns}", f"square, at most {LARGEST} rows")
 
 
 def _matrix_market(file: Path) -> scipy.sparse.csr_array:
@@ -90,9 +90,9 @@ def _matrix_market(file: Path) -> scipy.sparse.csr_array:
     rows, columns, entries, layout, field, symmetry = scipy.io.mminfo(file)
     _square(file.name, rows, columns)
     if field not in ("real", "integer") or symmetry not in ("general", "symmetric"):
-        raise InputError(f"{file.name}: the matrix is {symmetry}, {field}; allowed: real, general or symmetric")
+        raise wrong_entry(file.name, f"the matrix is {symmetry}, {field}", "real, general or symmetric")
     if 2 * entries > file.stat().st_size:
-        raise InputError(f"{file.name}: {entries} entries in {file.stat().st_size} bytes; allowed: as many as it has")
+        raise wrong_entry(file.name, f"{entries} entries in {file.stat().st_size} bytes", "as many as it has")
     if layout == "array":
         return scipy.sparse.csr_array(scipy.io.mmread(file), dtype=np.float64)
     with file.open(encoding="utf-8", errors="replace") as handle:
@@ -100,11 +100,11 @@ def _matrix_market(file: Path) -> scipy.sparse.csr_array:
         next(lines)  # rows, columns, entries
         table = np.loadtxt(lines, ndmin=2)
     if table.shape != (entries, 3):
-        raise InputError(f"{file.name}: {table.shape[0]} lines of {table.shape[1]} numbers; allowed: {entries} of 3")
+        raise wrong_entry(file.name, f"{table.shape[0]} lines of {table.shape[1]} numbers", f"{entries} of 3")
     wrong = ((table[:, :2] < 1) | (table[:, :2] > rows) | (table[:, :2] % 1 != 0)).any(1)
     if wrong.any():
         at = int(wrong.argmax())
-        raise InputError(f"{file.name}, entry {at + 1}: row, column are {table[at, :2].tolist()}; allowed: 1 to {rows}")
+        raise wrong_entry(f"{file.name}, entry {at + 1}", f"row, column are {table[at, :2].tolist()}", f"1 to {rows}")
     i, j = table[:, :2].T.astype(int) - 1
     matrix = scipy.sparse.csr_array((table[:, 2], (i, j)), shape=(rows, rows))
     if symmetry == "symmetric":
@@ -127,7 +127,7 @@ def _assembled(name: str, entries: list[tuple[tuple[int, int], tuple[int, int], 
     rows = sorted({pair for i, j, _ in entries for pair in (i, j)})
     for label, direction in rows:
         if not 1 <= direction <= 6:
-            raise InputError(f"{name}: node {label} has the direction {direction}; allowed: 1 to 6")
+            raise wrong_entry(name, f"node {label} has the direction {direction}", "1 to 6", key="direction")
     index = {pair: k for k, pair in enumerate(rows)}
     i, j = ([index[pair] for pair in pairs] for pairs in zip(*((a, b) for a, b, _ in entries), strict=True))
     matrix = scipy.sparse.coo_array(([entry[2] for entry in entries], (i, j)), shape=(len(rows), len(rows)))
@@ -150,9 +150,10 @@ def _abaqus(file: Path) -> LabeledMatrix:
             elif len(whole) == 2 and min(whole) > 0:
                 plain.append((*whole, value))
             else:
-                raise InputError(
-                    f"{file.name}, line {number}: {line.strip()[:60]!r}; allowed: node, dof, node, dof, value, "
-                    "or row, column, value"
+                raise wrong_entry(
+                    f"{file.name}, line {number}",
+                    f"{line.strip()[:60]!r}",
+                    "node, dof, node, dof, value, or row, column, value",
                 )
     if bool(labelled) == bool(plain):
         raise InputError(
@@ -179,8 +180,8 @@ def _op4(file: Path) -> Iterator[tuple[str, LabeledMatrix | InputError]]:
             try:
                 columns, rows, _, kind = (int(head[8 * k : 8 * k + 8]) for k in range(4))
             except ValueError:
-                raise InputError(
-                    f"{where}: {head.strip()[:60]!r} is not a header of an OP4 matrix. Try: OP4 as text, not binary"
+                raise wrong_entry(
+                    where, f"{head.strip()[:60]!r} is not a header of an OP4 matrix", hint="OP4 as text, not binary"
                 ) from None
             name, style = head[32:40].strip(), _FORMAT.search(head[40:])
             try:
@@ -211,7 +212,7 @@ def _number(where: str, text: str, kind: type) -> Any:
     try:
         return kind(text.upper().replace("D", "E"))
     except ValueError:
-        raise InputError(f"{where}: {text.strip()[:40]!r}; allowed: {'whole ' if kind is int else ''}numbers") from None
+        raise wrong_entry(where, f"{text.strip()[:40]!r}", f"{('whole ' if kind is int else '')}numbers") from None
 
 
 def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: int) -> scipy.sparse.csr_array:
@@ -228,7 +229,7 @@ def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: 
                 j.append(column - 1)
                 row += 1
             if not (1 <= column <= size and row - 1 <= size and i[-1] >= 0):
-                raise InputError(f"{name}, line {number}: row {row - 1}, column {column}; allowed: 1 to {size}")
+                raise wrong_entry(f"{name}, line {number}", f"row {row - 1}, column {column}", f"1 to {size}")
             continue
         words = [_number(f"{name}, line {number}", word, int) for word in line.split()]
         if len(words) == 3:
@@ -241,7 +242,9 @@ def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: 
         elif len(words) == 1:  # small: 65536 (length + 1) + row
             row = words[0] % 65536
     if column <= size:
-        raise InputError(f"{name} ends in column {column} of {size}; allowed: all, and a last one of number {size + 1}")
+        raise InputError(
+            (name,), allowed=f"all, and a last one of number {size + 1}", state=f"ends in column {column} of {size}"
+        )
     return scipy.sparse.csr_array((np.array(values), (np.array(i, int), np.array(j, int))), shape=(size, size))
 
 
@@ -261,7 +264,7 @@ def _dmig(file: Path) -> dict[str, LabeledMatrix | InputError]:
         if name in refused:
             continue
         if name not in entries:
-            raise InputError(f"{card}: the card of its header (second field 0) comes later or never")
+            raise wrong_entry(card, "the card of its header (second field 0) comes later or never")
         column = card.integer(2, "GJ"), card.integer(3, "CJ", 0) or 1
         for start in range(5, len(card.fields) + 1, 4):
             if card.text(start):

@@ -76,7 +76,11 @@ def openmdao_component(
             raise unknown("parameter", name, parameters)
     names = list(variables) if variables else [name for name, x in parameters.items() if x.requires_grad]
     if not names:
-        raise InputError("the system has no parameter that requires a gradient; allowed: at least one variable")
+        raise InputError(
+            "system",
+            allowed="at least one variable",
+            state="has no parameter that requires a gradient",
+        )
     simulation = Simulation(system, duration, **options)
 
     class Motion(om.ExplicitComponent):

@@ -99,7 +99,7 @@ def save_motion(
     """
     path = Path(path)
     if path.suffix != ".pvd":
-        raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .pvd")
+        raise InputError("path", str(path), "a name that ends in .pvd")
     require_motion(motion)
     motion = motion.detach()
     require_lane(motion, lane)
@@ -135,7 +135,7 @@ def write_vtu(
     """Write one unstructured grid: points [n, 3], cells as (VTK type, nodes [k, corners]), fields by name."""
     path = Path(path)
     if path.suffix != ".vtu":
-        raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .vtu")
+        raise InputError("path", str(path), "a name that ends in .vtu")
     blocks = [(kind, np.asarray(nodes, dtype=np.int64)) for kind, nodes in cells if len(nodes)]
     connectivity = np.concatenate([nodes.ravel() for _, nodes in blocks])
     offsets = np.cumsum(np.concatenate([np.full(len(nodes), nodes.shape[1]) for _, nodes in blocks]))

@@ -75,8 +75,10 @@ def _rows(bodies: list[Any]) -> tuple[list[Row], dict[str, tuple]]:
             laminate = part.laminates[0]
             if laminate.field is not None or laminate.angles.dim() > 1:
                 raise InputError(
-                    f"plies of {body.name}.{zone} vary over the part, or are those of several designs: must be one stack. "
-                    "Try: mbd.viz.save_mesh, which draws the fibers"
+                    (body.name, zone),
+                    rule="vary over the part, or are those of several designs: must be one stack",
+                    hint="mbd.viz.save_mesh, which draws the fibers",
+                    noun=f"plies of {body.name}.{zone}",
                 )
             bottoms = laminate.faces.detach()[:, 0].tolist()
             angles, thickness = (x.detach().tolist() for x in (laminate.layer_angles, laminate.layer_thickness))

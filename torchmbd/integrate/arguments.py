@@ -176,7 +176,7 @@ def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
         if not isinstance(x, Tensor) or x.dtype != torch.float64 or x.shape[1:] != parameters[name].shape or not len(x):
             seen = f"has shape {tuple(x.shape)} of {x.dtype}" if isinstance(x, Tensor) else f"is {x!r}"
             shape = ", ".join(["lanes", *map(str, parameters[name].shape)])
-            raise InputError(f"design {name!r} {seen}; allowed: a float64 tensor [{shape}]")
+            raise InputError(("designs", name), allowed=f"a float64 tensor [{shape}]", state=seen)
         _check_lanes(name, x, torch.isfinite(x), "finite numbers")
         numbers_of = untransformed(x).reshape(-1, *parameters[name].shape)
         lane = int(numbers_of.reshape(len(numbers_of), -1).abs().amax(1).argmax())

@@ -294,7 +294,7 @@ def equilibrium(
     (0.3525, True)
     """
     if not isinstance(system, System):
-        raise InputError(f"equilibrium of {system!r}; allowed: a System")
+        raise InputError("system", system, "a System")
     follow, unstable = true_or_false("follow", follow), true_or_false("unstable", unstable)
     t = _times(times)
     rotation = SteadyRotation.of(spin, center, observer)

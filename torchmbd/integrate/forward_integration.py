@@ -75,7 +75,13 @@ class ForwardIntegration(IntegratedMotion):
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         if not self.variables:
-            raise InputError("a motion with gradients='none' is being differentiated; allowed: 'auto' or 'forward'")
+            raise InputError(
+                "gradients",
+                "none",
+                "'auto' or 'forward'",
+                state="is being differentiated",
+                noun="a motion with gradients='none'",
+            )
         by_name = dict(zip(self.names, directions, strict=True))
         count = next((x.shape[-2] for x in directions if x is not None), 1)
         flat = []

@@ -23,7 +23,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, user_line, warn
+from torchmbd.errors import InputError, Path, user_line, warn
 from torchmbd.integrate.contacts import MOST_SUBSTEPS
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
@@ -127,17 +127,17 @@ def warn_of_jumps(
         for number, phase in enumerate(phases):
             for name, law in phase.laws.items():
                 of_time = [] if is_library_law(law) else [_at_a_state(law)]
-                times = _sampled(f"law of {name!r}", of_time, duration)
+                times = _sampled((name, "law"), of_time, duration)
                 _warn_of_force(name, [t for t in times if _within(phases, number, t)])
 
 
 def _jumps(
-    label: str, element: Any, functions: Callable[[], list], duration: float, without: Sequence[float] = ()
+    path: Path, element: Any, functions: Callable[[], list], duration: float, without: Sequence[float] = ()
 ) -> list[float]:
-    """Times of the jumps of an element's functions of time, sampled once for a duration; `label` names their law."""
+    """Times of the jumps of an element's functions of time, sampled once for a duration; path: the keys to their law."""
     known, numbers = _known.setdefault(element, {}), _numbers(element)
     if duration not in known or known[duration][0] != numbers:
-        known[duration] = numbers, _sampled(label, functions(), duration, without)
+        known[duration] = numbers, _sampled(path, functions(), duration, without)
     return known[duration][1]
 
 
@@ -149,7 +149,7 @@ def _numbers(element: Any) -> list[bytes]:
 
 
 def _sampled(
-    label: str, functions: Sequence[Callable[[Tensor], Tensor]], duration: float, without: Sequence[float] = ()
+    path: Path, functions: Sequence[Callable[[Tensor], Tensor]], duration: float, without: Sequence[float] = ()
 ) -> list[float]:
     """Times of the jumps of functions of time; none of a law that ends before: the motion need not come to this state or time.
 
@@ -164,10 +164,9 @@ def _sampled(
         except OUT_OF_RANGE:
             continue
         except Exception as error:  # a function of users may raise any error
-            raise InputError(
-                f"{label} raises {error!r} in {user_line(error)} for some time from 0 to {duration:.6g} s; allowed: a torch "
-                "function of all states and times, or one that raises a ValueError or an IndexError where it ends"
-            ) from error
+            allowed = "a torch function of all states and times, or one that raises a ValueError or an IndexError where it ends"
+            state = f"raises {error!r} in {user_line(error)} for some time from 0 to {duration:.6g} s"
+            raise InputError(path, f, allowed, state=state) from error
     return distinct(times, duration)
 
 
@@ -178,7 +177,7 @@ def _jumps_of_force(force: Any, duration: float) -> list[float]:
         laws = [action.law for action in force.actions(AttachmentTable())]
         return [_at_a_state(law) for law in laws if not is_library_law(law)]
 
-    return _jumps(f"law of {force.name!r}", force, functions, duration)
+    return _jumps((force.name, "law"), force, functions, duration)
 
 
 def _jumps_of_module(force: Controller, duration: float) -> list[float]:
@@ -189,7 +188,7 @@ def _jumps_of_module(force: Controller, duration: float) -> list[float]:
         rest = 0.1 + 0.37 * torch.arange(len(clock), dtype=torch.float64).cos()
         return [lambda t: force.module(torch.where(clock, t, rest)[None])[0]]
 
-    return _jumps(force.control.label, force, functions, duration, held_times(force.control, duration))
+    return _jumps((force.name, "module"), force, functions, duration, held_times(force.control, duration))
 
 
 def _refuse_jumps(system: Any, duration: float) -> None:
@@ -201,8 +200,10 @@ def _refuse_jumps(system: Any, duration: float) -> None:
             times = _jumps_of_force(force, duration)
         if times:
             raise InputError(
-                f"duration requires a gradient, and the law of {force.name!r} jumps at {_shown(times)}; allowed: a law that "
-                "does not jump, or a duration without a gradient"
+                "duration",
+                allowed="a law that does not jump, or a duration without a gradient",
+                state=f"jumps at {_shown(times)}",
+                noun=f"duration requires a gradient, and the law of {force.name!r}",
             )
 
 
@@ -279,7 +280,7 @@ def _warn_of_drive(drive: Drive, duration: float) -> None:
         x, rate = jvp(law, (t,), (torch.ones_like(t),))[:2]
         return torch.stack([x, rate] if drive.travels else [x.cos(), x.sin(), rate])
 
-    times = _jumps(f"law of the drive {drive.name!r}", drive, lambda: [of_time], duration)
+    times = _jumps((drive.name, "law"), drive, lambda: [of_time], duration)
     if times:
         warn(
             f"the law of the drive {drive.name!r}, or its rate, jumps at {_shown(times)}: no body follows it without "

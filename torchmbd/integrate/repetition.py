@@ -62,8 +62,10 @@ class Repetition:
         if self.integrator.name in ADAPTIVE:
             return None
         raise InputError(
-            f"errors by steps of method {self.integrator.name!r}; allowed: generalized_alpha, hht_alpha, or an "
-            f"adaptive method ({', '.join(sorted(ADAPTIVE))})"
+            "method",
+            self.integrator.name,
+            f"generalized_alpha, hht_alpha, or an adaptive method ({', '.join(sorted(ADAPTIVE))})",
+            noun="method of errors by steps",
         )
 
     def finer(self, factor: int) -> Any:

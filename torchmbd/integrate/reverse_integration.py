@@ -54,7 +54,7 @@ class ReverseIntegration(IntegratedMotion):
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         data = dict(zip(self.names, inputs, strict=False))
         if DURATION in data and data[DURATION].shape[-1] > 1:
-            raise InputError("duration is a batch of torch.vmap; allowed: one duration for all designs")
+            raise InputError("duration", allowed="one duration for all designs", state="is a batch of torch.vmap")
         moves = zip(self.designs, inputs[len(self.names) :], strict=True)
         designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in moves}
         single = is_single(self.segments, self.model.topology)

@@ -31,7 +31,12 @@ def variable_names(
         return [name for name, x in parameters.items() if is_differentiated(designs.get(name, x))]
     names = [name for name, x in parameters.items() if x.requires_grad or is_differentiated(designs.get(name, x))]
     if not names and not by_times:
-        raise InputError(f"gradients is {gradients!r}, but no parameter of the system requires a gradient")
+        raise InputError(
+            "gradients",
+            gradients,
+            rule=f"is {gradients!r}, but no parameter of the system requires a gradient",
+            shown="",
+        )
     return names
 
 

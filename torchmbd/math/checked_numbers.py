@@ -15,18 +15,18 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 from torchmbd.math.gradients import refuse_gradients
 
 _COMPUTED = "p = x.detach() and then x.backward(p.grad) with the gradient of the parameter p that is made of it"
 
 
-def reals(name: str, value: ArrayLike | Tensor) -> Tensor:
+def reals(name: str | Path, value: ArrayLike | Tensor) -> Tensor:
     """Read numbers of any shape as float64; InputError names the argument."""
     return _read(name, value, "numbers").double()
 
 
-def differentiable_reals(name: str, value: Any, allowed: str) -> Tensor:
+def differentiable_reals(name: str | Path, value: Any, allowed: str) -> Tensor:
     """Read numbers of any shape as float64 with their gradients, also those of tensors in a list."""
     try:
         return _joined(value)
@@ -40,7 +40,7 @@ def _joined(value: Any) -> Tensor:
     return torch.as_tensor(value, dtype=torch.float64)
 
 
-def scalar(name: str, value: Any, allowed: str = "a finite number", unit: str = "") -> float:
+def scalar(name: str | Path, value: Any, allowed: str = "a finite number", unit: str = "") -> float:
     """Read one finite number as a float; InputError names the argument, also one with a gradient, which a float would lose."""
     refuse_gradients(name, value, allowed)
     try:
@@ -62,7 +62,7 @@ def is_real(x: Any) -> bool:
     return isinstance(x, numbers.Real) and not isinstance(x, bool)
 
 
-def positive(name: str, value: Any, unit: str) -> float:
+def positive(name: str | Path, value: Any, unit: str) -> float:
     """Read one positive finite number."""
     allowed = "a positive and finite number"
     x = scalar(name, value, allowed, f" {unit}")
@@ -71,7 +71,7 @@ def positive(name: str, value: Any, unit: str) -> float:
     return x
 
 
-def nonnegative(name: str, value: Any, unit: str) -> float:
+def nonnegative(name: str | Path, value: Any, unit: str) -> float:
     """Read one finite number that is zero or positive."""
     allowed = "zero, or a positive and finite number"
     x = scalar(name, value, allowed, f" {unit}")
@@ -80,7 +80,7 @@ def nonnegative(name: str, value: Any, unit: str) -> float:
     return x
 
 
-def indices(name: str, value: ArrayLike | Tensor) -> Tensor:
+def indices(name: str | Path, value: ArrayLike | Tensor) -> Tensor:
     """Read whole numbers of any shape as int64; InputError names the argument and the number."""
     x = _read(name, value, "whole numbers")
     broken = (x != x.round()).flatten() if x.is_floating_point() else torch.zeros(0, dtype=torch.bool)
@@ -89,7 +89,7 @@ def indices(name: str, value: ArrayLike | Tensor) -> Tensor:
     return x.long()
 
 
-def list_of(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
+def list_of(name: str | Path, value: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
     """Read a sequence of objects of some classes as a list; InputError names the argument and an object of another class."""
     if not isinstance(value, Sequence) or isinstance(value, str):
         raise InputError(name, value, f"a list of {allowed}")
@@ -99,7 +99,7 @@ def list_of(name: str, value: Any, kinds: type | tuple[type, ...], allowed: str)
     return list(value)
 
 
-def parameter(name: str, value: ArrayLike | Tensor) -> nn.Parameter:
+def parameter(name: str | Path, value: ArrayLike | Tensor) -> nn.Parameter:
     """The parameter `value`, or a new one of numbers of any shape; InputError for a computed tensor with a gradient."""
     if not isinstance(value, nn.Parameter):
         refuse_gradients(
@@ -111,7 +111,7 @@ def parameter(name: str, value: ArrayLike | Tensor) -> nn.Parameter:
     return value
 
 
-def _read(name: str, value: ArrayLike | Tensor, allowed: str) -> Tensor:
+def _read(name: str | Path, value: ArrayLike | Tensor, allowed: str) -> Tensor:
     refuse_gradients(name, value, allowed)
     try:
         x = (value.detach() if isinstance(value, Tensor) else torch.from_numpy(np.array(value))).clone()

@@ -1,8 +1,8 @@
 """Derivatives of arguments: whether a tensor is being differentiated, and errors where its gradient would be lost.
 
-    refuse_gradients("mass of 'rod'", mass)                InputError for numbers that are read as constants
+    refuse_gradients(("rod", "mass"), mass)                InputError for numbers that are read as constants
     @constant_arguments                                    the same for all arguments of a function that are floats
-    refuse_lost_gradients("law of 'spring'", law, allowed) InputError for tensors with a gradient that a user's function holds
+    refuse_lost_gradients(("spring", "law"), law, allowed) InputError for tensors with a gradient that a user's function holds
     is_differentiated(x), untransformed(x)                 tensors under autograd, dual numbers and torch.func
 
 `refuse_lost_gradients` searches closures, default arguments, globals, bound objects, attributes, functools.partial and
@@ -25,7 +25,7 @@ import torch.autograd.forward_ad as forward_ad
 from torch import Tensor, nn
 from torch.func import debug_unwrap
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -77,7 +77,7 @@ def all_true(x: Tensor) -> bool:
     return bool(untransformed(x).all())
 
 
-def refuse_gradients(name: str, value: Any, allowed: str = "numbers") -> None:
+def refuse_gradients(name: str | Path, value: Any, allowed: str = "numbers") -> None:
     """InputError where a number, or one of a list or mapping of numbers, is being differentiated."""
     if isinstance(value, Mapping):
         value = list(value.values())
@@ -90,7 +90,7 @@ def refuse_gradients(name: str, value: Any, allowed: str = "numbers") -> None:
         raise InputError(name, value, f"{allowed}, or x.detach()", state=state)
 
 
-def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
+def refuse_derivatives(name: str | Path, x: Tensor, instead: str) -> None:
     """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
     if is_differentiated(x):
         raise InputError(
@@ -115,12 +115,12 @@ def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
                 allowed = _VARIABLE_KINDS.get(kinds[name])
                 parameter = isinstance(x, nn.Parameter) and x.dtype == torch.float64
                 if allowed is None or not (is_variable(x) or ("torch.nn" in allowed and parameter)):
-                    refuse_gradients(f"{name} of {f.__qualname__.removesuffix('.__init__')}", x, allowed or "numbers")
+                    refuse_gradients((f.__qualname__.removesuffix(".__init__"), name), x, allowed or "numbers")
         values = signature.bind_partial(*args, **kwargs).arguments
         for name in floats.intersection(values):
             if not _number(values[name]):
                 owner = f.__qualname__.removesuffix(".__init__")
-                raise InputError(name, values[name], "a number", noun=f"{name} of {owner}")
+                raise InputError((owner, name), values[name], "a number")
         return f(*args, **kwargs)
 
     return checked
@@ -137,7 +137,7 @@ def _number(x: Any) -> bool:
     return True
 
 
-def refuse_lost_gradients(name: str, law: Any, allowed: str, registered: nn.Module | None = None) -> None:
+def refuse_lost_gradients(name: str | Path, law: Any, allowed: str, registered: nn.Module | None = None) -> None:
     """InputError if a function or object of a user contains a tensor whose gradient would be lost.
 
     registered   a module whose parameters are differentiated, and so allowed

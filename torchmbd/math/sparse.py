@@ -31,7 +31,13 @@ def _indices(name: str, indices: ArrayLike | Tensor, size: int) -> Tensor:
     outside = (index < 0) | (index >= size)
     if outside.any():
         k = int(outside.nonzero()[0])
-        raise InputError(f"{name}[{k}] = {int(index[k])} is outside of 0 ... {size - 1}")
+        raise InputError(
+            (name, k),
+            int(index[k]),
+            rule=f"is outside of 0 ... {size - 1}",
+            shown="",
+            noun=f"{name}[{k}] = {int(index[k])}",
+        )
     return index
 
 
@@ -48,18 +54,26 @@ class Pattern:
     def __init__(self, rows: Tensor, cols: Tensor, size: int) -> None:
         i, j = _indices("rows", rows, size), _indices("cols", cols, size)
         if len(i) != len(j):
-            raise InputError(f"rows and cols have {len(i)} and {len(j)} entries; equally many are needed")
+            raise InputError(
+                "cols", rule=f"have {len(i)} and {len(j)} entries; equally many are needed", noun="rows and cols"
+            )
         key = i * size + j
         if (key[1:] <= key[:-1]).any():
             k = int((key[1:] <= key[:-1]).nonzero()[0]) + 1
             entry = (int(i[k]), int(j[k]))
-            raise InputError(f"coordinate {k} {entry} repeats or precedes its forerunner; use Pattern.gather to sort")
+            raise InputError(
+                ("rows", k),
+                rule="repeats or precedes its forerunner; use Pattern.gather to sort",
+                noun=f"coordinate {k} {entry}",
+            )
         self._set(torch.nn.functional.pad(torch.bincount(i, minlength=size).cumsum(0), (1, 0)), j, size)
         mirror = self.transposed
         if not ((i[mirror] == j) & (j[mirror] == i)).all():
             missing = ~torch.isin(j * size + i, key, assume_unique=True)
             k = int(missing.nonzero()[0])
-            raise InputError(f"entry ({int(i[k])}, {int(j[k])}) has no mirror image; store both triangles")
+            raise InputError(
+                ("rows", k), rule="has no mirror image; store both triangles", noun=f"entry ({int(i[k])}, {int(j[k])})"
+            )
 
     def _set(self, start: Tensor, column: Tensor, size: int) -> None:
         if max(len(column), size) >= 2**31:
@@ -126,7 +140,7 @@ class Pattern:
         row_of = torch.full((self.size,), -1, dtype=torch.long)
         row_of[kept] = torch.arange(len(kept))
         if int((row_of >= 0).sum()) != len(kept):
-            raise InputError("keep names a row more than once; each at most once is allowed")
+            raise InputError("keep", rule="names a row more than once; each at most once is allowed")
         column = row_of.to(torch.int32)[self.column]
         counted = (column >= 0) & torch.repeat_interleave(row_of >= 0, self.start.diff())
         positions = counted.nonzero().squeeze(-1)
@@ -159,7 +173,9 @@ class SparseMatrix:
 
     def __post_init__(self) -> None:
         if self.values.shape[-1:] != (self.pattern.nnz,):
-            raise InputError(f"values have shape {tuple(self.values.shape)}; [..., {self.pattern.nnz}] is needed")
+            raise InputError(
+                "values", rule=f"have shape {tuple(self.values.shape)}; [..., {self.pattern.nnz}] is needed"
+            )
 
     @property
     def size(self) -> int:
@@ -186,7 +202,11 @@ class SparseMatrix:
         if other.dim() == 1:
             return (self @ other[:, None]).squeeze(-1)
         if other.shape[-2] != self.pattern.size:
-            raise InputError(f"right factor has shape {tuple(other.shape)}; [..., {self.pattern.size}, k] is needed")
+            raise InputError(
+                "other",
+                rule=f"has shape {tuple(other.shape)}; [..., {self.pattern.size}, k] is needed",
+                noun="right factor",
+            )
         products = self.values[..., :, None] * other[..., self.pattern.cols, :]
         result = products.new_zeros((*products.shape[:-2], self.pattern.size, products.shape[-1]))
         return result.index_add(-2, self.pattern.rows, products)

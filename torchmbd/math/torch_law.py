@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, user_line
+from torchmbd.errors import InputError, Path, user_line
 from torchmbd.math.forward_mode import jvp
 
 # What a law may raise where it ends, as a table does, at states and times that a motion need not come to.
@@ -26,10 +26,10 @@ AROUND = (0.0, -1.0, -0.4, 0.7, 1.0)  # steps from a place: not symmetric, so th
 SMOOTH = 0.1
 
 
-def require_differentiable(what: str, law: Callable[[Tensor], Any], allowed: str, signed: bool = False) -> None:
+def require_differentiable(what: Path, law: Callable[[Tensor], Any], allowed: str, signed: bool = False) -> None:
     """InputError for a law of one number [] that torch does not differentiate.
 
-    what     names the law in the message
+    what     the keys to the law, as ("spring", "law")
     allowed  what a law may be
     signed   the argument is a coordinate or a rate, which may be negative, and no time
     """
@@ -40,21 +40,21 @@ def require_differentiable(what: str, law: Callable[[Tensor], Any], allowed: str
         except OUT_OF_RANGE:
             continue
         except Exception as error:  # a law may do anything
-            raise InputError(f"{what} raises {error!r} in {user_line(error)} near {place:.6g}; {allowed}") from error
+            raise InputError(
+                what, law, allowed, state=f"raises {error!r} in {user_line(error)} near {place:.6g}"
+            ) from error
         change = after - before
         smooth = change != 0.0 and abs(after - 2.0 * here + before) <= SMOOTH * abs(change)
         if smooth and all(_slope(what, law, place + k * STEP, allowed) == 0.0 for k in AROUND):
-            raise InputError(
-                f"{what} changes, but its derivative by torch is zero: it leaves torch (float, .item(), .detach(), NumPy, "
-                f"SciPy); {allowed}"
-            )
+            state = "changes, but its derivative by torch is zero: it leaves torch (float, .item(), .detach(), NumPy, SciPy)"
+            raise InputError(what, law, allowed, state=state)
 
 
 def _number(x: float) -> Tensor:
     return torch.tensor(x, dtype=torch.float64)
 
 
-def _slope(what: str, law: Callable[[Tensor], Any], place: float, allowed: str) -> float:
+def _slope(what: Path, law: Callable[[Tensor], Any], place: float, allowed: str) -> float:
     at = _number(place)
     try:
         return float(jvp(law, (at,), (torch.ones_like(at),))[1])
@@ -62,4 +62,4 @@ def _slope(what: str, law: Callable[[Tensor], Any], place: float, allowed: str) 
         raise
     except Exception as error:  # a law may do anything
         text = str(error).partition("\n")[0] or repr(error)
-        raise InputError(f"{what} cannot be differentiated by torch ({text}); {allowed}") from error
+        raise InputError(what, law, allowed, state=f"cannot be differentiated by torch ({text})") from error

@@ -132,13 +132,19 @@ def checked_box(problem: Box, start: np.ndarray | None = None) -> tuple[np.ndarr
     names = checked_names(problem, size)
     x = as_numbers("start", problem.start if start is None else start).reshape(-1)
     if x.size != size:
-        raise InputError(f"start has {x.size} entries, allowed: {size} ({', '.join(names)})")
+        raise InputError("start", rule=f"has {x.size} entries, allowed: {size} ({', '.join(names)})")
     lower, upper = (
         np.array(np.broadcast_to(np.asarray(b, dtype=float), x.shape)) for b in (problem.lower, problem.upper)
     )
     for name, low, high in zip(names, lower, upper, strict=True):
         if not low <= high:
-            raise InputError(f"bounds of {name} are crossed: lower = {low:g} must not exceed upper = {high:g}")
+            raise InputError(
+                ("lower", name),
+                low,
+                rule=f"are crossed: lower = {low:g} must not exceed upper = {high:g}",
+                shown="",
+                noun=f"bounds of {name}",
+            )
     require_inside("start", names, lower, x, upper)
     return x, lower, upper
 

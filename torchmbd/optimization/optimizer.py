@@ -418,5 +418,5 @@ def checked_names(problem: Box, size: int) -> list[str]:
     """Return the problem's variable names, checked for their number."""
     names: Sequence[str] = list(problem.names)
     if len(names) != size:
-        raise InputError(f"names has {len(names)} entries for {size} variables")
+        raise InputError("names", rule=f"has {len(names)} entries for {size} variables")
     return list(names)

@@ -166,7 +166,12 @@ def pareto_front(
     require_problem(problem)
     require_method_of_size(method, len(problem.names))
     if len(getattr(problem, "criteria", ())) < 2:
-        raise InputError(f"problem is {problem!r}; a front needs two criteria at least, such as mbd.Tradeoff(...) has")
+        raise InputError(
+            "problem",
+            problem,
+            rule=f"is {problem!r}; a front needs two criteria at least, such as mbd.Tradeoff(...) has",
+            shown="",
+        )
     box = checked_box(problem)
     points = np.array([checked_box(problem, x)[0] for x in recipe(starts, box[0]).points(problem)])
 
@@ -225,7 +230,7 @@ def _units(searches: ScalarizedSearches, starts: np.ndarray, names: list[str]) -
     """Return the units of the criteria [k] by their values and changes at a start, a constant part without influence."""
     known = [criteria for criteria in searches.cache.evaluate(starts, True) if criteria.ok]
     if not known:
-        raise InputError("start: none could be evaluated")
+        raise InputError("starts", rule="must have one at least that can be evaluated")
     values, slopes = known[0].values, known[0].gradients
     if values.shape != (len(names),):
         raise InputError(
@@ -246,7 +251,11 @@ def _anchors(
         raise KeyboardInterrupt
     for name, result in zip(names, results, strict=True):
         if result is None:
-            raise InputError(f"criterion {name!r}: no feasible design was found from the starts given")
+            raise InputError(
+                ("minimize", name),
+                rule="was found from the starts given",
+                noun=f"criterion {name!r}: no feasible design",
+            )
     anchors = [result for result in results if result is not None]
     F = np.array([searches.cache.evaluate(anchor.x[None], False)[0].values for anchor in anchors])
     span = np.where(np.ptp(F, axis=0) > SAME * units, np.ptp(F, axis=0), units)

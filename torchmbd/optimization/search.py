@@ -120,8 +120,12 @@ class Search:
         """Raise InputError if the problem has equalities, for methods that stay inside the feasible region."""
         if self.equalities.size:
             raise InputError(
-                f"method = {method!r} takes inequality constraints only, but constraints {self.equalities.tolist()} are "
-                "equalities: use method='slsqp', or give each as two opposite inequalities with a tolerance"
+                "method",
+                method,
+                rule=f"takes inequality constraints only, but constraints {self.equalities.tolist()} are equalities: use "
+                "method='slsqp', or give each as two opposite inequalities with a tolerance",
+                shown="",
+                noun=f"method = {method!r}",
             )
 
     def physical(self, y: np.ndarray) -> np.ndarray:

@@ -77,7 +77,9 @@ class BodyMotion(Summary):
 
     def _flexible(self) -> int:
         if self._index >= self._T.flexible:
-            raise InputError(f"body {self.name!r} is rigid; allowed here: a flexible body")
+            raise InputError(
+                "body", self.name, rule="is rigid; allowed here: a flexible body", shown="", noun=f"body {self.name!r}"
+            )
         return self._index
 
     @property
@@ -260,5 +262,7 @@ def _frame(view: BodyMotion, where: Where) -> Frame | None:
     if view.mesh is not None:
         return body.at(where)
     if isinstance(where, (str, int)) or len(where) != 3:
-        raise InputError(f"point of the rigid body {view.name!r} is {where!r}; allowed: three numbers in body axes [m]")
+        raise InputError(
+            "point", where, "three numbers in body axes [m]", noun=f"point of the rigid body {view.name!r}"
+        )
     return body.at(*where)

@@ -106,7 +106,7 @@ class PlyHistory:
 
     def modes(self, criterion: str = "hashin", lane: int = 0) -> list[str]:
         """Mode of failure that is nearest at each time, at the critical point; criteria: those with modes, as "puck"."""
-        criterion = one_of("criterion of modes", criterion, MODES)
+        criterion = one_of("criterion", criterion, MODES)
         if lane not in range(len(self.w)):
             raise InputError("lane", lane, f"0 to {len(self.w) - 1}")
         point = self.critical(criterion)[lane]
@@ -132,7 +132,13 @@ class PlyHistory:
     def _rule(self, criterion: str) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
         criterion = one_of("criterion", criterion, CRITERIA)
         if self.strength is None:
-            raise InputError(f"a ply of body {self.name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
+            raise InputError(
+                "body",
+                self.name,
+                "Ply(..., strength=Strength(...))",
+                state="has no strength",
+                noun=f"a ply of body {self.name!r}",
+            )
         return CRITERIA[criterion], self.strength
 
 
@@ -157,7 +163,13 @@ def require_plies(body: object) -> None:
     """Raise InputError for a body without plies."""
     if not getattr(body, "plates", None):
         name = getattr(body, "name", body)
-        raise InputError(f"body {name!r} has no plies; allowed here: a plate, such as FlexibleBody.plate(...)")
+        raise InputError(
+            "body",
+            name,
+            rule="has no plies; allowed here: a plate, such as FlexibleBody.plate(...)",
+            shown="",
+            noun=f"body {name!r}",
+        )
 
 
 def changes_of(motion: MotionData, body: Any) -> list[Temperature]:

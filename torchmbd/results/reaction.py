@@ -61,7 +61,13 @@ def joint_named(system: System, name: str) -> Joint:
     one_of("joint", name, [joint.name for joint in system.joints])
     joints = [joint for joint in system.joints if joint.name == name]
     if len(joints) > 1:
-        raise InputError(f"joint name {name!r} is used {len(joints)} times; allowed here: a unique name")
+        raise InputError(
+            "name",
+            name,
+            rule=f"is used {len(joints)} times; allowed here: a unique name",
+            shown="",
+            noun=f"joint name {name!r}",
+        )
     return joints[0]
 
 

@@ -115,7 +115,11 @@ def response_error(
     if not callable(response):
         raise InputError("response", response, "a measure, such as mbd.Max(...)")
     if motion.repetition is None:
-        raise InputError("this motion is a part of another; allowed: error_of of the motion that simulate returns")
+        raise InputError(
+            "motion",
+            allowed="error_of of the motion that simulate returns",
+            state="is a part of another",
+        )
     with torch.no_grad():
         value = _numbers(response, motion)
         if hasattr(response, "size") and hasattr(response, "change"):
@@ -271,7 +275,12 @@ def _wide(lanes: Tensor, x: Tensor) -> Tensor:
 def _numbers(response: Callable[[Any], Tensor], motion: Any) -> Tensor:
     x = response(motion)
     if not isinstance(x, Tensor) or not x.ndim or len(x) != motion.lanes:
-        raise InputError(f"response {response!r} returns {x!r}; allowed: a tensor [lanes] or [lanes, rows]")
+        raise InputError(
+            "response",
+            allowed="a tensor [lanes] or [lanes, rows]",
+            state=f"returns {x!r}",
+            noun=f"response {response!r}",
+        )
     return x.detach()
 
 

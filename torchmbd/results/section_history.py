@@ -155,18 +155,20 @@ class SectionHistory:
             largest.append(_rule(criterion)(stress, self._strength(key)[lane, point]))
         if not largest:
             raise InputError(
-                f"the sections of {self.name!r} have no plies; allowed: a Section, such as sections.strip(...)"
+                "body",
+                self.name,
+                "a Section, such as sections.strip(...)",
+                state="have no plies",
+                noun=f"the sections of {self.name!r}",
             )
         return torch.stack(largest).amax(0)
 
     def _key(self, part: str | None) -> str:
         if part is None and len(self._beams) > 1:
-            raise InputError(
-                (self.name, "part"), part, ", ".join(self._beams), noun=f"part of {self.name!r}", state="is None"
-            )
+            raise InputError((self.name, "part"), part, ", ".join(self._beams), state="is None")
         key = self.parts[0] if part is None else part
         if key not in self._beams:
-            raise unknown(f"part of {self.name!r}", key, self._beams)
+            raise unknown((self.name, "part"), key, self._beams)
         return key
 
     def _section(self, key: str) -> Section:
@@ -175,7 +177,6 @@ class SectionHistory:
             raise InputError(
                 (self.name, key),
                 allowed="Section",
-                noun=f"{key} of {self.name!r}",
                 state=f"is a {type(section).__name__}, which has no stresses",
             )
         return section
@@ -184,7 +185,13 @@ class SectionHistory:
         self._section(key)
         strength = self._recovered[key].strength
         if strength is None:
-            raise InputError(f"a ply of body {self.name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
+            raise InputError(
+                "body",
+                self.name,
+                "Ply(..., strength=Strength(...))",
+                state="has no strength",
+                noun=f"a ply of body {self.name!r}",
+            )
         return strength
 
 
@@ -193,7 +200,13 @@ def beams_of(body: object) -> dict[str, Beams]:
     beams = getattr(body, "beams", None)
     if not beams:
         name = getattr(body, "name", body)
-        raise InputError(f"body {name!r} has no beams; allowed here: FlexibleBody.beam(...), or a model with beams")
+        raise InputError(
+            "body",
+            name,
+            rule="has no beams; allowed here: FlexibleBody.beam(...), or a model with beams",
+            shown="",
+            noun=f"body {name!r}",
+        )
     return beams
 
 

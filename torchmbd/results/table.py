@@ -41,19 +41,21 @@ def table(
     import pandas as pd
 
     if not names and not histories:
-        raise InputError("names = (): must be of bodies, beams or joints. Try: motion.to_dataframe('arm')")
+        raise InputError("names", (), rule="must be of bodies, beams or joints", hint="motion.to_dataframe('arm')")
     columns: Columns = {}
     for name in names:
         _add(columns, _columns(motion, name))
     for heading, history in (histories or {}).items():
         if not isinstance(heading, str) or not callable(history):
-            raise InputError(f"histories = {{{heading!r}: {history!r}}}: must be headings and histories of a motion")
+            raise InputError(("histories", str(heading)), history, rule="must be a history of a motion")
         x = history(motion)
         if not isinstance(x, Tensor) or x.shape != (motion.lanes, len(motion.t)):
             shape = list(x.shape) if isinstance(x, Tensor) else type(x).__name__
             raise InputError(
-                f"histories[{heading!r}] is {shape}: must be [lanes, times] = {[motion.lanes, len(motion.t)]}. "
-                "Try: a history, such as mbd.StrainEnergy, and not a measure of one"
+                ("histories", heading),
+                rule=f"is {shape}: must be [lanes, times] = {[motion.lanes, len(motion.t)]}",
+                hint="a history, such as mbd.StrainEnergy, and not a measure of one",
+                noun=f"histories[{heading!r}]",
             )
         _add(columns, {heading: x})
     index = pd.MultiIndex.from_product([range(motion.lanes), motion.t.detach().tolist()], names=["lane", "t [s]"])
@@ -63,7 +65,12 @@ def table(
 def _add(columns: Columns, more: Columns) -> None:
     for heading, x in more.items():
         if heading in columns:
-            raise InputError(f"column {heading!r} is there twice: must be once. Try: each name once")
+            raise InputError(
+                ("names", heading),
+                rule="is there twice: must be once",
+                hint="each name once",
+                noun=f"column {heading!r}",
+            )
         columns[heading] = x
 
 
@@ -76,7 +83,12 @@ def _columns(motion: MotionData, name: str) -> Columns:
         raise unknown("body, beam or joint", name, [*bodies, *beams, *joints])
     if len(places) > 1:
         raise InputError(
-            f"name {name!r} is that of a {' and of a '.join(places)}: must be of one. Try: rename one of them"
+            "names",
+            name,
+            rule=f"is that of a {' and of a '.join(places)}: must be of one",
+            shown="",
+            hint="rename one of them",
+            noun=f"name {name!r}",
         )
     if places == ["beam"]:
         return {f"{name} {key}": x for key, x in _of_beam(BeamMotion(motion, name)).items()}

@@ -44,14 +44,19 @@ def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, s
     if scheduler is not None and scheduler.endswith((".yaml", ".yml")):
         slurm = load_cluster(scheduler)
         if not workers:
-            raise InputError("workers = 0: must be 1 or more, of all jobs together, with a cluster file")
+            raise InputError("workers", 0, rule="must be 1 or more, of all jobs together, with a cluster file")
         if shutil.which("sbatch") is None:
-            raise InputError(f"scheduler = {scheduler!r}: this machine has no sbatch. Try: a machine of the cluster")
+            raise InputError(
+                "scheduler",
+                scheduler,
+                rule="has no sbatch",
+                shown="",
+                hint="a machine of the cluster",
+                noun=f"scheduler = {scheduler!r}: this machine",
+            )
         return Workers(make, arguments, rows, workers, start=slurm.start, problem=study.simulated)
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
-        raise InputError(
-            f"scheduler = {scheduler!r}: allowed: tcp://host:8786, tls:, ws:, wss:, or a cluster file .yaml"
-        )
+        raise InputError("scheduler", scheduler, "tcp://host:8786, tls:, ws:, wss:, or a cluster file .yaml")
     return Workers(make, arguments, rows, workers, scheduler, problem=study.simulated)
 
 

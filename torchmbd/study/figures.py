@@ -104,7 +104,13 @@ def run_figures(
 ) -> int:
     """Draw and track the figures; return the exit code. Arguments as in run.run_study; figures are always drawn."""
     if workers != 1 or scheduler is not None:
-        raise InputError("workers and scheduler: figures are drawn in one process; allowed: torchmbd run without them")
+        raise InputError(
+            "workers",
+            workers,
+            "torchmbd run without them",
+            state="are drawn in one process",
+            noun="workers and scheduler: figures",
+        )
     origin, where = (plan.source.path, plan.source.overrides), (plan.data.tracking.experiment, uri or plan.uri)
     key = partial(figures_key, plan)
     with (

@@ -70,7 +70,7 @@ def write_report(run: str, path: Path | None = None, uri: str | StoreURI | None 
     entry = find(store, run)
     path = path or Path(f"{entry.name}_{entry.run_id[:8]}.html")
     if path.suffix not in (".html", ".htm"):
-        raise InputError(f"output = {str(path)!r}: allowed: a name that ends in .html")
+        raise InputError("output", str(path), "a name that ends in .html")
     if not path.parent.is_dir():
         raise InputError(
             "output",

@@ -94,12 +94,12 @@ EXAMPLE_PARTS = Parts(
 def write_experiment(file: Path, model: str | None = None) -> list[Path]:
     """Write an experiment file, and an example model beside it if none is given; return the paths of both."""
     if file.suffix not in (".yaml", ".yml"):
-        raise InputError(f"file = {str(file)!r}: allowed: a name that ends in .yaml")
+        raise InputError("file", str(file), "a name that ends in .yaml")
     example = file.with_name(f"{file.stem.replace('-', '_')}_model.py")
     written = [file] if model else [file, example]
     for new in written:
         if new.exists():
-            raise InputError(f"{new} exists already; allowed: a name that is free")
+            raise InputError("file", str(new), "a name that is free", state="exists already", noun=f"{new}")
     if model:
         file_text = text(file, model, parts_of(model, file.absolute().parent))
     else:
@@ -124,12 +124,18 @@ def parts_of(model: str, folder: Path) -> Parts:
     needed = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
     if needed:
         raise InputError(
-            f"model {model!r} needs {', '.join(needed)}; allowed here: a function whose arguments have defaults"
+            "model",
+            model,
+            rule=f"needs {', '.join(needed)}; allowed here: a function whose arguments have defaults",
+            shown="",
+            noun=f"model {model!r}",
         )
     system = build_model(function, {})
     bodies = [body.name for body in system.bodies if isinstance(body, FlexibleBody)]
     if not bodies:
-        raise InputError(f"model {model!r} has no flexible body; allowed: a system with one at least")
+        raise InputError(
+            "model", model, "a system with one at least", state="has no flexible body", noun=f"model {model!r}"
+        )
     parameters = {name: x.detach().numpy() for name, x in system.named_parameters() if x.requires_grad}
     return Parts(bodies[0], parameters, _options(function))
 

@@ -152,7 +152,7 @@ class StudySettings(Summary):
             if all(parameter not in (name, name.rpartition("[")[0]) for name in names):
                 raise unknown("increments of parameter", parameter, names, ("increments", parameter))
         # A number may be a tensor, as of mbd.deg.
-        known = {name: positive(f"increments of {name}", step, "SI") for name, step in (increments or {}).items()}
+        known = {name: positive(("increments", name), step, "SI") for name, step in (increments or {}).items()}
         steps = [known.get(name, known.get(name.rpartition("[")[0])) for name in names]
         if any(steps) and (self.front or self.has_extra_variable):
             rule = "has a step, and the objective several rows; allowed: one number, such as max"

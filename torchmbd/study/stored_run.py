@@ -84,19 +84,28 @@ def load_run(run: str, uri: str | StoreURI | None = None, model: Models = ()) ->
         for name, file in files.items():
             if file is None:
                 raise InputError(
-                    f"run {entry.run_id[:8]} ({entry.kind}, {entry.status.lower()}) has no {name}; allowed: a study of one "
-                    "objective that ended"
+                    "run",
+                    entry.run_id,
+                    "a study of one objective that ended",
+                    state=f"has no {name}",
+                    noun=f"run {entry.run_id[:8]} ({entry.kind}, {entry.status.lower()})",
                 )
         config, design = (read_yaml(file) for file in files.values() if file is not None)
     if isinstance(config.data, dict) and "problem" in config.data:
         raise InputError(
-            f"run {entry.run_id[:8]} was made in Python; allowed: its mbd.Study again, whose run() takes all from the disk"
+            "run",
+            entry.run_id,
+            "its mbd.Study again, whose run() takes all from the disk",
+            state="was made in Python",
+            noun=f"run {entry.run_id[:8]}",
         )
     config.source = f"config.yaml of run {entry.run_id[:8]}"
     folder = _model_folder(config, [model] if isinstance(model, (str, Path)) else list(model))
     _, study = read_experiment(Source(config, folder / f"{entry.name}.yaml"))
     if not isinstance(study, StudySettings):
-        raise InputError(f"run {entry.run_id[:8]} is one of {entry.kind}; allowed: a study")
+        raise InputError(
+            "run", entry.run_id, "a study", state=f"is one of {entry.kind}", noun=f"run {entry.run_id[:8]}"
+        )
     key = entry.tags.get("problem_key")
     if key and key != problem_key(study.simulated):
         warn(
@@ -122,8 +131,9 @@ def _model_folder(config: Document, named: list[str | Path]) -> Path:
         matching = [path for path in paths if code.endswith(".py") and path.parts[-len(parts) :] == parts]
         if not matching:
             raise InputError(
-                f"model is {[str(name) for name in named]}, and {config.source} executes {code!r}; allowed: the path of that "
-                "Python file, or the name of that module, if you trust it"
+                "model",
+                allowed="the path of that Python file, or the name of that module, if you trust it",
+                state=f"is {[str(name) for name in named]}, and {config.source} executes {code!r}",
             )
         folders.add(matching[0].parents[len(parts) - 1])
     if len(folders) > 1:

@@ -59,7 +59,13 @@ def _require_free(host: str, port: int) -> None:
         try:
             probe.bind((host, port))
         except (OSError, OverflowError) as error:
-            raise InputError(f"port = {port} of {host} cannot be used ({error}); choose another with --port") from None
+            raise InputError(
+                "port",
+                port,
+                rule=f"cannot be used ({error}); choose another with --port",
+                shown="",
+                noun=f"port = {port} of {host}",
+            ) from None
 
 
 def _wait_until_up(process: subprocess.Popen, host: str, port: int) -> None:

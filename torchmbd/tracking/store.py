@@ -77,7 +77,7 @@ def checked_uri(uri: str | StoreURI, name: str = "uri") -> StoreURI:
         raise InputError(name, uri, "a store such as sqlite:///mlflow.db")
     checked = StoreURI(uri)
     if fault := uri_fault(checked):
-        raise InputError(f"{name} = {checked!r}: {fault}")
+        raise InputError(name, checked, rule=fault)
     return checked
 
 

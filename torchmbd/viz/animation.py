@@ -78,7 +78,7 @@ def page_path(path: str | Path) -> Path:
     """The path of a page; InputError for another ending."""
     path = Path(path)
     if path.suffix not in (".html", ".htm"):
-        raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .html")
+        raise InputError("path", str(path), "a name that ends in .html")
     return path
 
 
@@ -98,9 +98,11 @@ def require_motion(motion: Any) -> None:
 def require_lane(motion: Any, lane: int) -> None:
     """InputError unless a motion has this lane, and the lane has not failed."""
     if not 0 <= lane < len(motion.status):
-        raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")
+        raise InputError("lane", lane, f"0 to {len(motion.status) - 1}, the lanes of the motion", shown=f"{lane}")
     if motion.status[lane].startswith("failed"):
-        raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
+        raise InputError(
+            "lane", lane, rule=f"has no motion to show: {motion.status[lane]}", shown="", noun=f"lane {lane}"
+        )
 
 
 def lane_labels(motion: Any, labels: Sequence[str] | None) -> list[str]:
@@ -118,7 +120,7 @@ def lane_labels(motion: Any, labels: Sequence[str] | None) -> list[str]:
 def spread_frames(motion: Any, max_frames: int) -> np.ndarray:
     """Return the indices of every n-th time, the first and the last among them, `max_frames` at most."""
     if max_frames < 2:
-        raise InputError(f"max_frames = {max_frames}: allowed: 2 or more")
+        raise InputError("max_frames", max_frames, "2 or more", shown=f"{max_frames}")
     last = len(motion.t) - 1
     return np.unique([*range(0, last + 1, max(1, -(-last // (max_frames - 1)))), last])
 

@@ -155,7 +155,7 @@ def save(figure: Figure, path: str | Path) -> Path:
     """
     path = Path(path)
     if path.suffix not in (".png", ".pdf", ".svg"):
-        raise InputError(f"path = {str(path)!r}: allowed endings: .png, .pdf, .svg")
+        raise InputError("path", str(path), "a name that ends in .png, .pdf, .svg")
     for line in (line for axes in figure.axes for line in axes.lines):
         line.set_in_layout(False)  # lines lie inside their axes: without them the layout takes half the time
     figure.savefig(path, dpi=160)

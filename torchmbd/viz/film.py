@@ -45,7 +45,7 @@ def film(
 
     path = Path(path)
     if path.suffix not in _WRITERS:
-        raise InputError(f"path = {str(path)!r}: allowed: a name that ends in {' or '.join(_WRITERS)}")
+        raise InputError("path", str(path), f"a name that ends in {' or '.join(_WRITERS)}")
     if not writers.is_available(_WRITERS[path.suffix]):
         raise InputError(
             "path", str(path), ".gif", state=f"= {str(path)!r}: needs {_WRITERS[path.suffix]}, which is not installed"
@@ -54,7 +54,9 @@ def film(
     require_lane(motion, lane)
     count = round(seconds * frames_per_second)
     if count < 2 or frames_per_second < 1:
-        raise InputError(f"seconds = {seconds}, frames_per_second = {frames_per_second}: allowed: two frames or more")
+        raise InputError(
+            "seconds", seconds, "two frames or more", state=f"is {seconds}, at {frames_per_second} frames per second"
+        )
     t = motion.t.detach().numpy()
     frames = np.interp(np.linspace(t[0], t[-1], count), t, np.arange(len(t))).round().astype(int)  # nearest times
     scene = scene_of(motion, lane, frames)

@@ -15,6 +15,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import finished, pendulum
+from tests.refused import refused
 from torchmbd.design.response_spec import history_of, measure_of
 from torchmbd.extensions.buckling import eigenproblem
 from torchmbd.extensions.buckling.body_loads import body_loads, interpolations
@@ -190,7 +191,7 @@ def test_phases_go_on_with_the_same_forces_only():
         [body, pushed], [mbd.Fixed(mbd.Ground().at(0, 0, 0), body.at("start"))], [spring], free=["block"]
     )
     changed = [mbd.Phase(until=0.01), mbd.Phase(laws={"spring": lambda s, rate, t: 2.0 * s})]
-    with pytest.raises(mbd.InputError, match="laws of forces of their own"):
+    with refused("phases"):
         index(mbd.simulate(other, 0.02, steps=4, phases=changed, backend="eager"))
 
 
@@ -279,21 +280,21 @@ def test_what_cannot_buckle_so_is_named(tmp_path):
     body = rod()
     system = loaded(body, "start", "end", (-1.0, 0.0, 0.0), 1.0)
     refused = [
-        ({"number": 0}, "number is 0"),
-        ({"supports": {"start": "u9"}}, "support 'start' of 'rod' is 'u9'"),
-        ({"supports": {"start": (1e-3, None, None, None, None, None)}}, "supports of 'rod' are displaced"),
+        ({"number": 0}, "number"),
+        ({"supports": {"start": "u9"}}, "rod.supports.start"),
+        ({"supports": {"start": (1e-3, None, None, None, None, None)}}, "supports"),
     ]
-    for given, message in refused:
-        with pytest.raises(mbd.InputError, match=message):
+    for given, path in refused:
+        with refused(path):
             mbd.BucklingIndex("rod", **given).check(system)
     with pytest.raises(mbd.InputError, match="leave it movable"):
         mbd.BucklingIndex("rod", {"start": "u1"})(mbd.simulate(system, 0.01, steps=2, backend="eager"))
     given = mbd.FlexibleBody.from_reduced("rod", body.save_reduced(tmp_path / "rod.npz"))
     block = mbd.RigidBody("block", 1.0, (1.0, 1.0, 1.0))
     other = mbd.System([given, block], [], free=["rod", "block"])
-    with pytest.raises(mbd.InputError, match="made of matrices, which give no stress"):
+    with refused("rod"):
         mbd.BucklingIndex("rod").check(other)
-    with pytest.raises(mbd.InputError, match="'block' is rigid"):
+    with refused("block"):
         mbd.BucklingFactor("block").check(other)
 
 

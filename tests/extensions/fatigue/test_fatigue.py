@@ -83,7 +83,7 @@ def test_ranges_and_means_have_derivatives():
 
 @pytest.mark.parametrize("y", [torch.tensor(1.0), torch.tensor([1.0])])
 def test_a_history_needs_two_values(y):
-    with pytest.raises(mbd.InputError, match=r"allowed: \[..., n\] with two values"):
+    with refused("y"):
         rainflow(y)
     with refused("y", "load.csv"):
         rainflow("load.csv")
@@ -167,40 +167,40 @@ def test_lives_in_closed_form():
 
 
 @pytest.mark.parametrize(
-    ("points", "message"),
+    ("points", "path"),
     [
-        ([(1e3, 2e8)], "two pairs"),
-        ([(1e3, 2e8), (1e2, 1e8)], r"points\[1\] is \(100.0, 100000000.0\) after"),
-        ([(1e3, 2e8), (1e4, 1e8), (1e5, 1.5e8)], r"points\[2\]"),
-        ([(1e3, 2e8), (1e4, -1.0)], r"points\[1\].*positive"),
-        ([(1e3, 2e8), (float("nan"), 1e8)], r"points\[1\]"),
-        ("steel", "pairs"),
-        ([(1e3, mbd.variable(2e8)), (1e4, 1e8)], "points carries a gradient"),
+        ([(1e3, 2e8)], "points"),
+        ([(1e3, 2e8), (1e2, 1e8)], "points.1"),
+        ([(1e3, 2e8), (1e4, 1e8), (1e5, 1.5e8)], "points.2"),
+        ([(1e3, 2e8), (1e4, -1.0)], "points.1"),
+        ([(1e3, 2e8), (float("nan"), 1e8)], "points.1"),
+        ("steel", "points"),
+        ([(1e3, mbd.variable(2e8)), (1e4, 1e8)], "points"),
     ],
 )
-def test_points_that_are_not_in_order_are_named(points, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_points_that_are_not_in_order_are_named(points, path):
+    with refused(path):
         SNCurve(points)
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "path"),
     [
-        (lambda: SNCurve([(1, 2), (3, 1)], tension=-1.0), "tension is -1.0"),
-        (lambda: SNCurve([(1, 2), (3, 1)], compression=5.0), "without tension"),
-        (lambda: EquivalentLoad(mbd.StrainEnergy("rod"), exponent=0.0), "exponent is 0.0"),
-        (lambda: EquivalentLoad(mbd.StrainEnergy("rod"), cycles=-2), "cycles is -2"),
-        (lambda: Damage(mbd.StrainEnergy("rod")), "curve is None"),
-        (lambda: FatigueDamage("rod", {"33": 4.0}), "stress component '33'"),
-        (lambda: FatigueDamage("rod", {"11": -4.0}), "exponent 11 is -4.0"),
-        (lambda: FatigueDamage("rod", {}), "exponent is {}; allowed: a positive number"),
-        (lambda: FatigueDamage("rod", curves={}), "curves is {}"),
-        (lambda: FatigueDamage("rod", curves={"11": 3}), "curve of component '11' is 3"),
-        (lambda: FatigueDamage("rod", repeats=0), "repeats is 0"),
+        (lambda: SNCurve([(1, 2), (3, 1)], tension=-1.0), "tension"),
+        (lambda: SNCurve([(1, 2), (3, 1)], compression=5.0), "compression"),
+        (lambda: EquivalentLoad(mbd.StrainEnergy("rod"), exponent=0.0), "exponent"),
+        (lambda: EquivalentLoad(mbd.StrainEnergy("rod"), cycles=-2), "cycles"),
+        (lambda: Damage(mbd.StrainEnergy("rod")), "curve"),
+        (lambda: FatigueDamage("rod", {"33": 4.0}), "stress component"),
+        (lambda: FatigueDamage("rod", {"11": -4.0}), "exponent 11"),
+        (lambda: FatigueDamage("rod", {}), "exponent"),
+        (lambda: FatigueDamage("rod", curves={}), "curves"),
+        (lambda: FatigueDamage("rod", curves={"11": 3}), "11.curve"),
+        (lambda: FatigueDamage("rod", repeats=0), "repeats"),
     ],
 )
-def test_what_is_wrong_is_named(make, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_what_is_wrong_is_named(make, path):
+    with refused(path):
         make()
 
 

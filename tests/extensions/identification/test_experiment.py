@@ -7,6 +7,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.extensions.identification import pendulum
+from tests.refused import refused
 from torchmbd.extensions.identification.fit_problem import FitProblem
 
 
@@ -75,18 +76,18 @@ SERIES = mbd.TimeSeries({"t": pendulum.TIMES, "angle": 0 * pendulum.TIMES}, {"an
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "path"),
     [
-        (lambda: mbd.Experiment(3, SERIES), "system is 3; allowed: a System"),
-        (lambda: mbd.Experiment(pendulum.system(), 3), "measurements is 3; allowed: a list of a measurement"),
-        (lambda: mbd.Experiment(pendulum.system(), []), "measurements is empty"),
-        (lambda: mbd.Experiment(pendulum.system(), [SERIES, SERIES]), "channel 'angle' is measured twice"),
-        (lambda: mbd.Experiment(pendulum.system(), SERIES, {"bob.mas": 1.0}), "did you mean 'bob.mass'"),
-        (lambda: mbd.Experiment(pendulum.system(), SERIES, duration=-1.0), "duration is -1.0 s"),
-        (lambda: mbd.Experiment(pendulum.system(), SERIES, method="newton"), "newton"),
-        (lambda: mbd.Experiment(pendulum.system(), SERIES, start="rest"), "start is 'rest'"),
+        (lambda: mbd.Experiment(3, SERIES), "system"),
+        (lambda: mbd.Experiment(pendulum.system(), 3), "measurements"),
+        (lambda: mbd.Experiment(pendulum.system(), []), "measurements"),
+        (lambda: mbd.Experiment(pendulum.system(), [SERIES, SERIES]), "angle"),
+        (lambda: mbd.Experiment(pendulum.system(), SERIES, {"bob.mas": 1.0}), "settings.bob.mas"),
+        (lambda: mbd.Experiment(pendulum.system(), SERIES, duration=-1.0), "duration"),
+        (lambda: mbd.Experiment(pendulum.system(), SERIES, method="newton"), "method"),
+        (lambda: mbd.Experiment(pendulum.system(), SERIES, start="rest"), "start"),
     ],
 )
-def test_bad_input_is_named(make, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_bad_input_is_named(make, path):
+    with refused(path):
         make()

@@ -7,6 +7,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.extensions.identification import pendulum
+from tests.refused import refused
 from torchmbd.extensions.identification.fit_problem import FitProblem
 
 
@@ -51,8 +52,7 @@ def test_more_unknowns_than_numbers_are_refused():
     """Gaps are no numbers, and constants no unknowns."""
     few = {"t": np.array([0.1, 0.2, 0.3]), "angle": np.array([0.1, np.nan, 0.2])}
     experiment = pendulum.experiment(few, angle=mbd.Channel(pendulum.ANGLE, deviation=0.1))
-    words = r"3 unknowns \(bob.mass\[0\], .*\) and 2 measured numbers and priors; allowed: at most as many"
-    with pytest.raises(mbd.InputError, match=words):
+    with refused("unknowns"):
         FitProblem({"swing": experiment}, pendulum.UNKNOWNS)
     assert FitProblem({"swing": experiment}, pendulum.UNKNOWNS, priors={"bob.mass": (1.0, 0.1)}).data == 2
     constant = {"spring.damping": (0.1, 0.1)}
@@ -62,29 +62,29 @@ def test_more_unknowns_than_numbers_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "path"),
     [
-        ({"unknowns": ["bob.mas"]}, "unknown 'bob.mas' .*did you mean 'bob.mass'"),
-        ({"unknowns": "bob.mass"}, "unknowns is 'bob.mass'; allowed: a list"),
-        ({"unknowns": ["bob.mass", "bob.mass"]}, "allowed: each parameter once"),
-        ({"unknowns": []}, "unknowns is empty"),
-        ({"unknowns": ["bob.mass"], "priors": {"bob.mass": 1.0}}, r"prior of bob.mass is 1.0; allowed: \(mean"),
-        ({"unknowns": ["bob.mass"], "priors": {"bob.mass": (1.0, 0.0)}}, "deviation of the prior of bob.mass.*above 0"),
-        ({"unknowns": ["bob.mass"], "priors": {"bob": (1.0, 1.0)}}, "did you mean 'bob.mass'"),
-        ({"unknowns": ["bob.mass"], "bounds": {"bob.mass": (2.0, 1.0)}}, "lower bound of bob.mass"),
-        ({"unknowns": ["bob.mass"], "bounds": {"bob.mass": (2.0, 3.0)}}, "start of bob.mass|start"),
+        ({"unknowns": ["bob.mas"]}, "unknowns.bob.mas"),
+        ({"unknowns": "bob.mass"}, "unknowns"),
+        ({"unknowns": ["bob.mass", "bob.mass"]}, "unknowns"),
+        ({"unknowns": []}, "unknowns"),
+        ({"unknowns": ["bob.mass"], "priors": {"bob.mass": 1.0}}, "prior.bob.mass"),
+        ({"unknowns": ["bob.mass"], "priors": {"bob.mass": (1.0, 0.0)}}, "prior.bob.mass[0]"),
+        ({"unknowns": ["bob.mass"], "priors": {"bob": (1.0, 1.0)}}, "prior.bob"),
+        ({"unknowns": ["bob.mass"], "bounds": {"bob.mass": (2.0, 1.0)}}, "lower.bob.mass[0]"),
+        ({"unknowns": ["bob.mass"], "bounds": {"bob.mass": (2.0, 3.0)}}, "start.bob.mass[0]"),
     ],
 )
 @pytest.mark.thorough
-def test_bad_input_is_named(arguments, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_bad_input_is_named(arguments, path):
+    with refused(path):
         FitProblem({"swing": swing()}, **arguments)
 
 
 def test_an_unknown_that_an_experiment_sets():
     series = mbd.TimeSeries(pendulum.data(), {"angle": pendulum.ANGLE})
     experiment = mbd.Experiment(pendulum.system(), series, {"bob.mass": 1.0})
-    with pytest.raises(mbd.InputError, match=r"experiment 'swing' sets 'bob.mass', an unknown"):
+    with refused("unknowns.bob.mass"):
         FitProblem({"swing": experiment}, ["bob.mass"])
 
 
@@ -92,7 +92,7 @@ def test_more_unknowns_than_numbers():
     t = np.array([0.1, 0.2])
     series = mbd.TimeSeries({"t": t, "angle": t}, {"angle": pendulum.ANGLE})
     experiment = mbd.Experiment(pendulum.system(), series)
-    with pytest.raises(mbd.InputError, match=r"3 unknowns \(bob.mass\[0\], .*\) and 2 measured numbers"):
+    with refused("unknowns"):
         FitProblem({"swing": experiment}, pendulum.UNKNOWNS)
 
 
@@ -100,9 +100,7 @@ def test_more_unknowns_than_numbers():
 def test_a_held_out_channel_has_no_unknown_of_its_own():
     problem = FitProblem({"swing": swing()}, pendulum.UNKNOWNS)
     other = swing(angle=mbd.Channel(pendulum.ANGLE, gain=mbd.variable(1.0)))
-    with pytest.raises(
-        mbd.InputError, match=r"'angle.gain' of the validation 'other' is an unknown that no experiment has"
-    ):
+    with refused("validation.other", "angle.gain"):
         problem.held_out({"other": other})
 
 

@@ -227,19 +227,19 @@ def test_failed_simulations_are_statuses(compiled):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "path"),
     [
-        ({"loss": "l1"}, "loss 'l1' does not exist; allowed: linear"),
-        ({"f_scale": 0.0}, "f_scale is 0.0"),
-        ({"scales": {"bob.mass": 0.0}}, "scale of bob.mass.* is 0; allowed: a positive number"),
+        ({"loss": "l1"}, "loss"),
+        ({"f_scale": 0.0}, "f_scale"),
+        ({"scales": {"bob.mass": 0.0}}, "scale.bob.mass[0]"),
         ({"starts": [[1.0]]}, "start"),
         ({"max_evaluations": 0}, "max_evaluations"),
         ({"tolerance": 1.0}, "tolerance"),
-        ({"validation": [3]}, "validation has 'experiment 1': 3; allowed: name -> mbd.Experiment"),
+        ({"validation": [3]}, "validation"),
     ],
 )
-def test_bad_input_is_named(arguments, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_bad_input_is_named(arguments, path):
+    with refused(path):
         mbd.identify(pendulum.experiment(pendulum.data()), pendulum.UNKNOWNS, **arguments)
 
 

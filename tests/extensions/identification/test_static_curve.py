@@ -36,43 +36,43 @@ POSITION = mbd.Position("bob", "x")
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "path"),
     [
-        (lambda: mbd.StaticCurve(X, {}, {"x": POSITION}), "loads is {}; allowed: parameter -> name of its column"),
-        (lambda: mbd.StaticCurve(X, {"push.x": "f"}, {"x": POSITION}), "column 'f' does not exist"),
+        (lambda: mbd.StaticCurve(X, {}, {"x": POSITION}), "loads"),
+        (lambda: mbd.StaticCurve(X, {"push.x": "f"}, {"x": POSITION}), "columns.f"),
         (
             lambda: mbd.StaticCurve({"F": [0.0, np.nan], "x": [0.0, 0.1]}, {"push.x": "F"}, {"x": POSITION}),
-            "row 1: load 'F' is .*allowed: a finite number",
+            "columns.F",
         ),
         (
             lambda: mbd.StaticCurve(X, {"push.x": "F"}, {"x": mbd.Channel(POSITION, delay=0.1)}),
-            "channel 'x' of a static curve has a delay",
+            "channels.x",
         ),
         (
             lambda: mbd.StaticCurve(X, {"push.x": "F"}, {"x": mbd.Displacement("bob", "x") * 2.0}),
-            "displacement since the start.*allowed: mbd.Position",
+            "channels.x",
         ),
         (
             lambda: mbd.Experiment(pendulum.pushed(), mbd.StaticCurve(X, {"pusk.x": "F"}, {"x": POSITION})),
-            "load 'pusk.x' .*did you mean 'push.x'",
+            "loads.pusk.x",
         ),
         (
             lambda: mbd.Experiment(
                 pendulum.pushed(), mbd.StaticCurve(X, {"push.x": "F"}, {"x": mbd.Position("bop", "x")})
             ),
-            "channel 'x': body 'bop' does not exist",
+            "channels.x.body",
         ),
     ],
 )
-def test_bad_input_is_named(make, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_bad_input_is_named(make, path):
+    with refused(path):
         make()
 
 
 def test_a_load_is_no_unknown_and_no_setting():
     """It would replace the loads of all rows."""
     curve = mbd.StaticCurve({"F": [0.0, 1.0], "angle": [0.0, 0.1]}, {"push.x": "F"}, {"angle": pendulum.ANGLE})
-    with pytest.raises(mbd.InputError, match=r"unknown 'push\.x' is a load of experiment 'experiment'"):
+    with refused("unknowns.push.x"):
         mbd.identify(mbd.Experiment(pendulum.pushed(), curve), ["push.x"])
     with refused("settings", {"push.x": 1.0}):
         mbd.Experiment(pendulum.pushed(), curve, settings={"push.x": 1.0})

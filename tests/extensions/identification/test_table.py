@@ -56,7 +56,7 @@ def test_other_data_are_refused():
         Table.of({"t": [0.0], "top": [0.0]}, ["t", "tip"])
     with refused("columns"):
         Table.of({"t": [0.0, 1.0], "x": [0.0]}, ["t", "x"])
-    with pytest.raises(mbd.InputError, match="column 'x' has"):
+    with refused("columns.x"):
         Table.of({"t": [0.0, 1.0], "x": ["a", "b"]}, ["t", "x"])
     with refused("columns.x", "millimetre"):
         Table.of({"x [millimetre]": [0.0]}, ["x"]).factor("x", None)

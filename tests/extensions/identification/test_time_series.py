@@ -8,6 +8,7 @@ import torch
 
 import torchmbd as mbd
 from tests.extensions.identification import pendulum
+from tests.refused import refused
 from torchmbd.extensions.identification.fit_problem import FitProblem
 
 TRUE = {"spring.stiffness": 2.0}
@@ -77,59 +78,59 @@ X = mbd.Position("bob", "x")
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "path"),
     [
-        (lambda: mbd.TimeSeries({"t": [0.0, 2.0, 1.0], "x": [0, 0, 0]}, {"x": X}), "row 2: time 1 s follows 2 s; allowed"),
-        (lambda: mbd.TimeSeries({"t": [0.0, 0.0], "x": [0, 0]}, {"x": X}), "row 1: time 0 s follows 0 s"),
-        (lambda: mbd.TimeSeries({"t": [-0.1, 0.0], "x": [0, 0]}, {"x": X}), "row 0: time is -0.1 s; allowed: from 0 on"),
-        (lambda: mbd.TimeSeries({"t": [0.0, np.nan], "x": [0, 0]}, {"x": X}), "row 1: time 't' is nan; allowed: a finite"),
-        (lambda: mbd.TimeSeries({"t": [], "x": []}, {"x": X}), "data has no rows; allowed: one time"),
-        (lambda: mbd.TimeSeries({"t": [0.0], "x": [np.nan]}, {"x": X}), "channel 'x' has gaps alone"),
-        (lambda: mbd.TimeSeries({"t": [0.0], "x": [np.inf]}, {"x": X}), "row 0: channel 'x' is inf; allowed: finite"),
-        (lambda: mbd.TimeSeries(ROW, {"y": X}), "column 'y' does not exist; allowed: t, x"),
-        (lambda: mbd.TimeSeries(ROW, {}), "channels is .*; allowed: name -> mbd.Channel"),
-        (lambda: mbd.TimeSeries(ROW, {"x": 3}), "channel 'x' is 3; allowed: mbd.Channel"),
-        (lambda: mbd.TimeSeries({"t [mm]": [0.0], "x": [0.0]}, {"x": X}), r"unit of the times 't' is of \[m\]; allowed: s, ms"),
+        (lambda: mbd.TimeSeries({"t": [0.0, 2.0, 1.0], "x": [0, 0, 0]}, {"x": X}), "time"),
+        (lambda: mbd.TimeSeries({"t": [0.0, 0.0], "x": [0, 0]}, {"x": X}), "time"),
+        (lambda: mbd.TimeSeries({"t": [-0.1, 0.0], "x": [0, 0]}, {"x": X}), "time"),
+        (lambda: mbd.TimeSeries({"t": [0.0, np.nan], "x": [0, 0]}, {"x": X}), "time"),
+        (lambda: mbd.TimeSeries({"t": [], "x": []}, {"x": X}), "data"),
+        (lambda: mbd.TimeSeries({"t": [0.0], "x": [np.nan]}, {"x": X}), "channels.x"),
+        (lambda: mbd.TimeSeries({"t": [0.0], "x": [np.inf]}, {"x": X}), "channels.x"),
+        (lambda: mbd.TimeSeries(ROW, {"y": X}), "columns.y"),
+        (lambda: mbd.TimeSeries(ROW, {}), "channels"),
+        (lambda: mbd.TimeSeries(ROW, {"x": 3}), "channels.x"),
+        (lambda: mbd.TimeSeries({"t [mm]": [0.0], "x": [0.0]}, {"x": X}), "time"),
         (
             lambda: mbd.TimeSeries(ROW, {"x": mbd.Channel(X, unit="N")}),
-            r"unit of channel 'x' is of \[N\]; allowed: one of \[m\]",
+            "columns.x",
         ),
-        (lambda: mbd.TimeSeries(ROW, {"x": mbd.Channel(X, deviation=[1.0])}), "deviation of channel 'x' has 1 values"),
-        (lambda: mbd.Channel(X, unit="parsec"), "unit of Channel is 'parsec'; allowed: "),
-        (lambda: mbd.Channel(X, deviation=0.0), "deviation of Channel is 0.0"),
-        (lambda: mbd.Channel(X, delay="late"), "delay of Channel is 'late'; allowed: a finite number, or mbd.variable"),
-        (lambda: mbd.Channel("x"), "response of Channel is 'x'; allowed: a history"),
-        (lambda: mbd.Channel(mbd.Angle("bob", "z", wrapped=True)), "wrapped=True, which jumps"),
+        (lambda: mbd.TimeSeries(ROW, {"x": mbd.Channel(X, deviation=[1.0])}), "channels.x.deviation"),
+        (lambda: mbd.Channel(X, unit="parsec"), "unit"),
+        (lambda: mbd.Channel(X, deviation=0.0), "Channel.deviation"),
+        (lambda: mbd.Channel(X, delay="late"), "Channel.delay"),
+        (lambda: mbd.Channel("x"), "response"),
+        (lambda: mbd.Channel(mbd.Angle("bob", "z", wrapped=True)), "response"),
     ],
 )  # fmt: skip
-def test_bad_input_is_named(make, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_bad_input_is_named(make, path):
+    with refused(path):
         make()
 
 
 def test_times_that_do_not_increase_are_named_with_their_line(tmp_path):
     file = tmp_path / "run.csv"
     file.write_text("t,x\n0.0,1\n0.2,1\n0.1,1\n", encoding="utf-8")
-    with pytest.raises(mbd.InputError, match=r"run.csv, line 4: time 0.1 s follows 0.2 s"):
+    with refused("time", 0.1):
         mbd.TimeSeries(file, {"x": X})
 
 
 def test_a_channel_that_the_model_does_not_have():
     series = mbd.TimeSeries(ROW, {"x": mbd.Position("bop", "x")})
-    with pytest.raises(mbd.InputError, match=r"channel 'x': body 'bop' does not exist.*did you mean 'bob'"):
+    with refused("channels.x.body", meant="bob"):
         mbd.Experiment(pendulum.system(), series)
 
 
 @pytest.mark.parametrize(
-    ("bounds", "message"),
+    ("bounds", "path"),
     [
-        ({}, r"bounds of x.delay are \(-inf, inf\) s; allowed: finite bounds"),
-        ({"x.delay": (0.0, 5.0)}, "channel 'x' has no sample within the motion, 0 to 1 s, for a delay of 0 to 5 s"),
+        ({}, "bounds.x.delay"),
+        ({"x.delay": (0.0, 5.0)}, "channels.x"),
     ],
 )
-def test_bounds_of_delays(bounds, message):
+def test_bounds_of_delays(bounds, path):
     series = mbd.TimeSeries(ROW, {"x": mbd.Channel(X, delay=mbd.variable(0.0))})
-    with pytest.raises(mbd.InputError, match=message):
+    with refused(path):
         FitProblem({"swing": mbd.Experiment(pendulum.system(), series)}, [], bounds)
 
 

@@ -92,20 +92,20 @@ def test_bad_input_is_named():
         mbd.LaminationParameters(carbon, 1e-3, flat, coupling=flat),
     )
     steel = mbd.LaminationParameters(mbd.Ply.isotropic(210e9, 0.3, 7850.0), 1e-3, flat)
-    for given, words in [
-        (({}, {}), "laminates is {}; allowed: LaminationParameters of each zone, by name"),
-        (({"a": plain}, {"b": 4}), "plies is {'b': 4}; allowed: a value for each of a"),
-        (({"a": plain, "b": coupled}, {"a": 4, "b": 4}), "zones with coupling and zones without"),
-        (({"a": plain, "b": plain}, {"a": 4, "b": 3}), "allowed for symmetric stacks: all even, or all odd"),
-        (({"a": plain}, {"a": 0}), "plies is 0; allowed: a whole number >= 1"),
-        (({"a": 3}, {"a": 4}), "laminate of 'a' is 3; allowed: LaminationParameters"),
-        (({"a": plain, "b": steel}, {"a": 4, "b": 4}), "zones of different plies; allowed: one material"),
+    for given, path in [
+        (({}, {}), "laminates"),
+        (({"a": plain}, {"b": 4}), "plies"),
+        (({"a": plain, "b": coupled}, {"a": 4, "b": 4}), "laminates"),
+        (({"a": plain, "b": plain}, {"a": 4, "b": 3}), "plies"),
+        (({"a": plain}, {"a": 0}), "plies"),
+        (({"a": 3}, {"a": 4}), "a.laminate"),
+        (({"a": plain, "b": steel}, {"a": 4, "b": 4}), "laminates"),
     ]:
-        with pytest.raises(mbd.InputError, match=words):
+        with refused(path):
             mbd.recover_blended_stacks(*given, QUARTERS)
     with refused("a.area", -1.0):
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, areas={"a": -1.0})
-    with pytest.raises(mbd.InputError, match="seed is -1; allowed: a whole number >= 0"):
+    with refused("seed", -1):
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, seed=-1)
     with refused("weights", 3.0):
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, weights=3.0)

@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.cards import parse_cards
 from torchmbd.extensions.nastran.data import BulkData
@@ -44,7 +45,7 @@ def test_messages_name_cards():
     with pytest.warns(UserWarning, match=r"CTRIA3 2 \(line 9\) and CTRIA3 7 \(line 12\) are duplicates.*as they are"):
         made(f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nCTRIA3,7,1,20,50,30,3")
     more = "\n".join(f"GRID,{k},,{k}.,{k % 3}.,{k % 2}." for k in (70, 71, 73))
-    with pytest.raises(InputError, match=r"2 disconnected parts \(GRID 70 \(line 12\) is not connected"):
+    with refused("elements"):
         made(f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\n{more}\nCTRIA3,7,1,70,71,73,0.")
     with pytest.raises(InputError, match="no elements that can be read"):
         made("MAT1,1,1.,,.3,1.")
@@ -57,5 +58,5 @@ def test_grids_at_one_place_and_loose_masses():
         result = made(f"{text}RBE2,8,20,123456,60\nGRID,90,,5.,5.,5.\nCONM2,9,90,,2.\nCONM2,11,90,,3.")
     assert len(result.mesh.nodes) == 8
     assert 90 not in result.index
-    with pytest.raises(InputError, match="2 disconnected parts"):
+    with refused("elements"):
         made(text)

@@ -8,6 +8,7 @@ import warnings
 import pytest
 import torch
 
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.body import bulk_body
 
@@ -128,7 +129,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path):
     path = tmp_path / "model.bdf"
     with path.open("wb") as file:
         file.truncate(10**12)  # takes no place on the disk
-    with pytest.raises(InputError, match=r"model.bdf has 1000000000000 bytes; allowed: 5000000 lines"):
+    with refused("model.bdf"):
         bulk_body(path)
 
 

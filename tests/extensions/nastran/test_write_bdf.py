@@ -188,12 +188,12 @@ def test_bad_input_is_refused(tmp_path):
     with refused("design", 3.0):
         mbd.write_bdf(3.0, deck)
     rod = mbd.RigidBody("rod", 1.0, (1, 1, 1))
-    with pytest.raises(InputError, match="must have a flexible body"):
+    with refused("design"):
         mbd.write_bdf(mbd.System([rod], free=["rod"]), deck)
-    with pytest.raises(InputError, match="no body has one"):
+    with refused("deck"):
         mbd.write_bdf(mbd.examples.arm(), deck)
     deck.write_text(deck.read_text().replace("1586.", "1587."))
-    with pytest.raises(InputError, match="must be the deck of 'plate' with the contents that were read"):
+    with refused("deck"):
         mbd.write_bdf(body, deck)
 
 

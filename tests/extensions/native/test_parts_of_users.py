@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box
+from tests.refused import refused
 from torchmbd.math.jet import Jet, dot
 from torchmbd.math.pair import linear
 from torchmbd.multibody.forces.action import Action
@@ -220,13 +221,13 @@ def test_a_law_that_breaks_the_rule_of_data_fields_is_refused(law, words):
 @pytest.mark.parametrize("size", [(1.0,), 1.0, (1.0, None), (1.0, 2.0, 3.0), (float("nan"), 1.0)])
 def test_constants_of_a_primitive_are_counted(size):
     ground, bob = mbd.Ground(), box("bob")
-    with pytest.raises(mbd.InputError, match=r"constants of 'large' \(onellipse\) are .*; allowed: 2 finite numbers"):
+    with refused("large.constants"):
         mbd.System([bob], [Ellipse(ground.at(), bob.at(), size, name="large")])
 
 
 def test_a_variable_as_a_constant_is_refused():
     ground, bob = mbd.Ground(), box("bob")
-    with pytest.raises(mbd.InputError, match=r"constant of 'large' \(onellipse\) carries a gradient"):
+    with refused("a constant of 'large' (onellipse)"):
         mbd.System([bob], [Ellipse(ground.at(), bob.at(), (mbd.variable(1.0), 2.0), name="large")])
 
 

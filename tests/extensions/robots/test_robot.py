@@ -12,6 +12,7 @@ import torch
 import torchmbd as mbd
 from experiments.peers.newton_euler import Tree
 from tests.mechanisms import finished, laminate
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.robots.tree import Pose
 from torchmbd.extensions.robots.urdf import urdf_robot
@@ -174,7 +175,7 @@ def test_stops_are_watched_and_may_lose_energy(file):
 
 def test_starts_beyond_limits_are_refused(file):
     path = file(*PENDULUM, hinge('<limit lower="0.2" upper="0.4"/>'))
-    with pytest.raises(InputError, match=r"'hinge' at 0, from 0.2 to 0.4; allowed: positions between them"):
+    with refused("positions"):
         mbd.read_urdf(path)
     assert mbd.read_urdf(path, positions={"hinge": 0.3}).forces
     assert not mbd.read_urdf(path, stop_stiffness=None).forces
@@ -276,7 +277,7 @@ def test_inertia_that_no_mass_has_is_taken_with_a_warning(file):
     np.testing.assert_allclose(
         motion.body("rod").omega_rate[0, 0], Tree(path).accelerations({}, {"hinge": 1.0})[1]["rod"][1], rtol=1e-12
     )
-    with pytest.raises(InputError, match="inertia of link 'rod' has the principal values"):
+    with refused("links.rod.inertia"):
         mbd.read_urdf(file(PENDULUM[0], link("rod", 1.0, "0 0 0", -1e-3, 0.1, 0.1), hinge()))
 
 
@@ -312,30 +313,30 @@ def test_a_link_is_replaced_by_a_plate(file):
     same = mbd.simulate(rigid, 1e-3, steps=10, gradients="none")
     torch.testing.assert_close(motion.body("link3").r[0, 0], same.body("link3").r[0, 0], rtol=0.0, atol=2e-3)
     far = mbd.FlexibleBody.plate("plate", mbd.mesh.rectangle(0.2, 0.05, (2, 1)), laminate((30.0,)), modes=2)
-    with pytest.raises(InputError, match=r"joint 'j\d' is 0\.\d+ m away"):
+    with refused("j3"):
         mbd.read_urdf(file(*ARM), flexible={"link2": far})
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "path"),
     [
-        ({"flexible": {"link9": None}}, "'link9'"),
-        ({"positions": {"j9": 1.0}}, "'j9'"),
-        ({"positions": {"j1": "x"}}, "positions"),
-        ({"velocities": [1.0]}, r"velocities is \[1.0\]"),
-        ({"flexible": {"link2": 3}}, "allowed: a FlexibleBody"),
-        ({"fixed_base": 1}, "fixed_base is 1"),
+        ({"flexible": {"link9": None}}, "flexible:"),
+        ({"positions": {"j9": 1.0}}, "positions:"),
+        ({"positions": {"j1": "x"}}, "positions['j1']"),
+        ({"velocities": [1.0]}, "velocities"),
+        ({"flexible": {"link2": 3}}, "flexible.link2"),
+        ({"fixed_base": 1}, "fixed_base"),
         ({"stop_stiffness": -1.0}, "stop_stiffness"),
-        ({"stop_damping": -1.0}, "damping of 'j2_stop' is -1"),
-        ({"locked": "j1"}, "locked is 'j1'"),
-        ({"locked": ["f1"]}, "locked: 'f1'"),
-        ({"locked": ["j1"], "velocities": {"j1": 1.0}}, "velocities: 'j1'"),
+        ({"stop_damping": -1.0}, "j2_stop.damping"),
+        ({"locked": "j1"}, "locked"),
+        ({"locked": ["f1"]}, "locked:"),
+        ({"locked": ["j1"], "velocities": {"j1": 1.0}}, "velocities:"),
         ({"friction_speed": 0.0, "positions": {}}, "friction_speed"),
     ],
 )
-def test_wrong_arguments_are_named(file, given, words):
+def test_wrong_arguments_are_named(file, given, path):
     extra = joint("j4", "revolute", "link3", "hook", "1 0 0", extra='<dynamics friction="1"/>')
-    with pytest.raises(InputError, match=words):
+    with refused(path):
         mbd.read_urdf(file(*ARM, link("hook", 1.0, "0 0 0", 1e-3, 1e-3, 1e-3), extra), **given)
 
 

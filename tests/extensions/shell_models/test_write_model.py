@@ -15,7 +15,6 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.refused import refused
-from torchmbd.errors import InputError
 from torchmbd.fem.elements import Plates
 
 STRENGTH = mbd.Strength(1.5e9, 1.2e9, 4e7, 2.4e8, 6.8e7, interaction=-0.3)
@@ -134,23 +133,23 @@ def test_calculix_has_the_frequencies(angles, offset, tmp_path):
 def test_bad_input_is_refused(tmp_path):
     """Endings, units, elements, numbers, bodies of other parts, and a body that must be named."""
     body, path = plate((2, 1)), tmp_path / "plate.inp"
-    for arguments, match in (
-        ({"path": tmp_path / "plate.stp"}, r"path is .*; allowed: a name that ends in \.bdf"),
-        ({"units": "km"}, "units 'km' does not exist"),
-        ({"elements": "cubic"}, "elements 'cubic' does not exist"),
-        ({"modes": 0}, "modes is 0; allowed: a whole number, 1 or more"),
-        ({"body": "plat"}, "body 'plat' does not exist"),
+    for arguments, argument in (
+        ({"path": tmp_path / "plate.stp"}, "path"),
+        ({"units": "km"}, "units"),
+        ({"elements": "cubic"}, "elements"),
+        ({"modes": 0}, "modes"),
+        ({"body": "plat"}, "body"),
     ):
         options: dict[str, Any] = {"design": body, "path": path} | arguments
-        with pytest.raises(InputError, match=match):
+        with refused(argument):
             mbd.write_model(**options)
     other = mbd.FlexibleBody.plate("other", body.mesh, body.first, 2)
     with refused("body"):
         mbd.write_model(mbd.System([body, other], free=["plate", "other"]), path)
     rigid = mbd.FlexibleBody.plate("rigid", body.mesh, body.first, 2, rigid=["right_edge"])
-    with pytest.raises(InputError, match="body 'rigid' has rigid or linked nodes: must be made of shells alone"):
+    with refused("rigid"):
         mbd.write_model(rigid, path)
     line = mbd.BeamLine.straight(1.0, 2)
     beam = mbd.FlexibleBody.beam("beam", line, mbd.sections.tube(0.02, PLY, [0.0], thickness=1e-3, cells=(8, 1)), 2)
-    with pytest.raises(InputError, match="body 'beam' has no shells"):
+    with refused("beam"):
         mbd.write_model(beam, path)

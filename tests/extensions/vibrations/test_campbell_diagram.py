@@ -9,6 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.refused import refused
 
 GROUND = mbd.Ground()
 
@@ -92,19 +93,19 @@ def test_a_system_without_vibrations_has_none():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "path"),
     [
-        ({"system": 3}, "campbell of 3; allowed: a System"),
-        ({"center": 5}, "center is 5; allowed: three finite numbers"),
-        ({"center": "a"}, "center is 'a'"),
-        ({"modes": 0}, "modes is 0; allowed: 1, 2"),
-        ({"speeds": [2.0, 1.0]}, "speeds is .*; allowed: rising"),
+        ({"system": 3}, "system"),
+        ({"center": 5}, "center"),
+        ({"center": "a"}, "center"),
+        ({"modes": 0}, "modes"),
+        ({"speeds": [2.0, 1.0]}, "speeds"),
         ({"axis": "w"}, "axis"),
         ({"observer": "nobody"}, "observer"),
     ],
 )
-def test_wrong_arguments_are_named(change, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_wrong_arguments_are_named(change, path):
+    with refused(path):
         mbd.campbell(**{"system": masses(), "speeds": [0.0, 1.0]} | change)
 
 

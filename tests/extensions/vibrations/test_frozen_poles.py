@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
+from tests.refused import refused
 from tests.sensitivity.number_cases import differences
 
 V, GROUND = mbd.variable, mbd.Ground()
@@ -95,27 +96,27 @@ def test_what_has_no_derivative_is_named():
 @pytest.mark.thorough
 def test_bad_arguments_are_named():
     motion = mbd.simulate(swinging(), 0.1, steps=10)
-    for call, words in (
-        (lambda: mbd.frozen_poles(3), "motion is 3"),
-        (lambda: mbd.frozen_poles(mbd.equilibrium(swinging())), "an equilibrium has `poles`"),
+    for call, path in (
+        (lambda: mbd.frozen_poles(3), "motion"),
+        (lambda: mbd.frozen_poles(mbd.equilibrium(swinging())), "motion"),
         (
             lambda: mbd.frozen_poles(mbd.simulate(swinging(), 0.1, steps=10, phases=PHASES)),
-            "motion is a motion in phases",
+            "motion",
         ),
-        (lambda: mbd.frozen_poles(motion, 0.1001), "time is 0.1001; allowed: one of the 11 times"),
-        (lambda: mbd.frozen_poles(motion, "0.1"), "time is '0.1' s; allowed: a finite number"),
-        (lambda: mbd.frozen_poles(motion, coordinates=["angle"]), "coordinates 'angle' does not exist"),
-        (lambda: mbd.frozen_poles(motion, coordinates="rotation z of 'bob'"), "allowed: a list of names of increments"),
-        (lambda: mbd.frozen_poles(motion, coordinates=3), "coordinates is 3; allowed: a list of names"),
-        (lambda: mbd.frozen_poles(motion, coordinates=[]), r"coordinates is \[\]; allowed: 1 that are independent"),
+        (lambda: mbd.frozen_poles(motion, 0.1001), "time"),
+        (lambda: mbd.frozen_poles(motion, "0.1"), "time"),
+        (lambda: mbd.frozen_poles(motion, coordinates=["angle"]), "coordinates"),
+        (lambda: mbd.frozen_poles(motion, coordinates="rotation z of 'bob'"), "coordinates"),
+        (lambda: mbd.frozen_poles(motion, coordinates=3), "coordinates"),
+        (lambda: mbd.frozen_poles(motion, coordinates=[]), "coordinates"),
     ):
-        with pytest.raises(mbd.InputError, match=words):
+        with refused(path):
             call()
 
     def poles(mass: Tensor) -> Tensor:
         return mbd.frozen_poles(mbd.simulate(swinging(), 0.1, steps=10, designs={"bob.mass": mass[None]})).imag
 
-    with pytest.raises(mbd.InputError, match=r"under torch.vmap over designs; allowed: designs as lanes"):
+    with refused("motion"):
         torch.vmap(poles)(torch.tensor([1.0, 2.0], dtype=torch.float64))
     single = torch.tensor(0.07, dtype=torch.float32)  # is 2e-9 off the time of the motion
     assert torch.equal(mbd.frozen_poles(motion, single), mbd.frozen_poles(motion, 0.07))

@@ -75,24 +75,24 @@ def test_of_a_rotor_seen_from_the_ground():
 def test_bad_arguments_are_named():
     system, rails = carriage()
     force, travel = [mbd.signals.JointForce(rails[0])], [mbd.signals.JointTravel(rails[0])]
-    for call, words in (
-        (lambda: mbd.linearize(3, force, travel), "system is 3"),
-        (lambda: mbd.linearize(system, [], travel), "inputs is empty"),
+    for call, path in (
+        (lambda: mbd.linearize(3, force, travel), "system"),
+        (lambda: mbd.linearize(system, [], travel), "inputs"),
         (lambda: mbd.linearize(system, travel, travel), "inputs"),
         (
             lambda: mbd.linearize(system, [mbd.signals.JointTorque(hinged(1.0)[1])], travel),
-            "'inputs and outputs' acts on",
+            "forces.inputs and outputs",
         ),
-        (lambda: mbd.linearize(system, force, [mbd.signals.Time()]), "outputs has the time"),
-        (lambda: mbd.linearize(system, force, travel, state=3), "state is 3"),
-        (lambda: mbd.linearize(system, force, travel, lane=4), "lane is 4"),
-        (lambda: mbd.linearize(system, force, travel, mbd.equilibrium(mbd.examples.pendulum())), "coordinates"),
-        (lambda: mbd.linearize(system, force, []), "outputs is empty"),
-        (lambda: mbd.linearize(system, force, travel, time=0.3), "time is 0.3; allowed: one of the 1 times"),
-        (lambda: mbd.linearize(system, force, travel, coordinates=["x"]), "coordinates is .* with an equilibrium"),
-        (lambda: mbd.linearize(system, force, travel).response(np.nan), "frequencies is nan"),
+        (lambda: mbd.linearize(system, force, [mbd.signals.Time()]), "outputs"),
+        (lambda: mbd.linearize(system, force, travel, state=3), "state"),
+        (lambda: mbd.linearize(system, force, travel, lane=4), "lane"),
+        (lambda: mbd.linearize(system, force, travel, mbd.equilibrium(mbd.examples.pendulum())), "state"),
+        (lambda: mbd.linearize(system, force, []), "outputs"),
+        (lambda: mbd.linearize(system, force, travel, time=0.3), "time"),
+        (lambda: mbd.linearize(system, force, travel, coordinates=["x"]), "coordinates"),
+        (lambda: mbd.linearize(system, force, travel).response(np.nan), "frequencies"),
     ):
-        with pytest.raises(mbd.InputError, match=words):
+        with refused(path):
             call()
     before = mbd.equilibrium(system, [-1.0, 0.0])
     assert mbd.linearize(system, force, travel, before, time=-1.0).A.shape == (4, 4)
@@ -155,21 +155,21 @@ def test_a_motion_of_another_system_or_in_phases_is_refused():
     others = [mbd.signals.JointTorque(other_hinge)], [mbd.signals.JointAngle(other_hinge)]
     motion = mbd.simulate(system, 0.1, steps=10, start={"bob.angular_velocity": torch.tensor([0.0, 0.0, 3.0]).double()})
     assert mbd.linearize(system, *ports, motion, time=0.05).states[0] == "rotation z of 'bob'"
-    for call, words in (
+    for call, path in (
         (
             lambda: mbd.linearize(system, *ports, motion, time=0.051),
-            r"time is 0.051; allowed: one of the 11 times.*0.05",
+            "time",
         ),
-        (lambda: mbd.linearize(system, *ports, motion, time=-1.0), "time is -1.0"),
+        (lambda: mbd.linearize(system, *ports, motion, time=-1.0), "time"),
         (
             lambda: mbd.linearize(other, *others, motion),
-            "state is not a motion of the system: its joints are open by 2",
+            "state",
         ),
     ):
-        with pytest.raises(mbd.InputError, match=words):
+        with refused(path):
             call()
     short = mbd.simulate(system, 0.1, steps=10, phases=[mbd.Phase(until=0.05), mbd.Phase(lock=["hinge"])])
-    with pytest.raises(mbd.InputError, match="state is a motion in phases"):
+    with refused("state"):
         mbd.linearize(system, *ports, short)
     motion.status[0] = "failed: steps are too long"
     with pytest.raises(mbd.SimulationFailure, match="lane 0: failed: steps are too long"):
@@ -180,5 +180,5 @@ def test_the_response_at_a_pole_is_refused():
     body = mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0))
     rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y")
     linear = mbd.linearize(mbd.System([body], [rail]), [mbd.signals.JointForce(rail)], [mbd.signals.JointTravel(rail)])
-    with pytest.raises(mbd.InputError, match="frequencies has 0 Hz, a pole without damping"):
+    with refused("frequencies"):
         linear.response([1.0, 0.0])

@@ -89,7 +89,7 @@ def test_under_a_drive_and_in_coordinates_that_are_chosen():
     b, b1, b2 = L * c, -L * s * rate, -L * c * rate**2 - L * s * turning
     across = MovingLinearization.of(*state, coordinates=["displacement x of 'mass0'"])
     assert_close(across.A[1], tensor(b2 / b - 2.0 * (b1 / b) ** 2 - k, 2.0 * b1 / b), rtol=1e-11, atol=1e-11)
-    with pytest.raises(mbd.InputError, match=r"allowed: 1 that are independent, such as .\"rotation z of 'mass0'"):
+    with refused("coordinates"):
         MovingLinearization.of(*state, coordinates=["displacement x of 'carriage'"])
     with refused("coordinates", "angle"):
         MovingLinearization.of(*state, coordinates=["angle"])

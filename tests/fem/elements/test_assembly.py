@@ -9,6 +9,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.fem.elements.plate_cases import CARBON, GENERAL, irregular, rotation, turned
+from tests.refused import refused
 from tests.validation.navier import Navier
 from tests.validation.simply_supported import supports
 from torchmbd.errors import InputError
@@ -119,9 +120,9 @@ def test_names_of_several_laminates():
     parts = {"skin": Plates(MESH, one, cells=HALVES[0]), "rib": Plates(MESH, two, cells=HALVES[1])}
     body = mbd.FlexibleBody("box", MESH, parts, 2)
     assert [name for name, x in body.named_parameters() if x.requires_grad] == ["skin.angles", "rib.angles"]
-    with pytest.raises(InputError, match=r"'box' has 2 laminated parts"):
+    with refused("box"):
         _ = body.matrices
-    with pytest.raises(InputError, match=r"part 'mesh' of 'box' has a name that is taken"):
+    with refused("box.parts.mesh"):
         mbd.FlexibleBody("box", MESH, {"mesh": parts["skin"], "rib": parts["rib"]}, 2)
     with pytest.raises(InputError) as error:
         Plates(MESH, one, mass="lumpt")

@@ -9,7 +9,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.fem.elements.beam_cases import coupled_section
 from tests.fem.elements.plate_cases import rotation
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.fem.elements import Assembly, BeamLine, Beams, GivenSection
 from torchmbd.fem.elements.beam_curve import Curves
 
@@ -138,13 +138,13 @@ def test_mass_and_first_frequency(mass):
 
 
 def test_bad_arcs_are_named():
-    for make, words in (
-        (lambda: BeamLine.arc(0.0, 1.0), "radius = 0.0"),
-        (lambda: BeamLine.arc(1.0, 7.0), "angle = 7.0"),
-        (lambda: BeamLine.arc(1.0, 4.0, 1), "elements = 1"),
-        (lambda: BeamLine([[0, 0, 0], [1, 0, 0]], middles=[[0.4, 0.1, 0.0]]), "middle of element 0"),
-        (lambda: BeamLine([[0, 0, 0], [1, 0, 0]], middles=[[0.5, 0.7, 0.0]]), "at most half a turn"),
-        (lambda: BeamLine([[0, 0, 0], [1, 0, 0]], middles=[[0.5, 0.7]]), r"middles has shape \(1, 2\)"),
+    for make, path in (
+        (lambda: BeamLine.arc(0.0, 1.0), "radius"),
+        (lambda: BeamLine.arc(1.0, 7.0), "angle"),
+        (lambda: BeamLine.arc(1.0, 4.0, 1), "elements"),
+        (lambda: BeamLine([[0, 0, 0], [1, 0, 0]], middles=[[0.4, 0.1, 0.0]]), "middles.0"),
+        (lambda: BeamLine([[0, 0, 0], [1, 0, 0]], middles=[[0.5, 0.7, 0.0]]), "middles.0"),
+        (lambda: BeamLine([[0, 0, 0], [1, 0, 0]], middles=[[0.5, 0.7]]), "middles"),
     ):
-        with pytest.raises(InputError, match=words):
+        with refused(path):
             make()

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_line import BeamLine
 
@@ -36,7 +37,7 @@ def test_any_nodes_and_branches():
         tee.node("tipp")
     assert (error.value.path, error.value.value) == (("node",), "tipp")
     assert "tip" in error.value.allowed
-    with pytest.raises(InputError, match="'flange' has 2 nodes"):
+    with refused("node", "flange"):
         tee.node("flange")
 
 
@@ -50,7 +51,7 @@ def test_any_nodes_and_branches():
         ({"elements": [[0, 1], [2, 2]]}, ["element 1", "no length"]),
         ({"elements": [[0, 1], [1, 5]]}, ["element 1", "0 to 2"]),
         ({"elements": [[0, 1, 2]]}, ["shape (1, 3)", "[m, 2]"]),
-        ({"elements": [[0, 1.5]]}, ["elements of a BeamLine holds 1.5"]),
+        ({"elements": [[0, 1.5]]}, ["BeamLine.elements holds 1.5"]),
         ({"elements": [[0, 1]]}, ["2 disconnected parts", "node 2"]),
         ({"node_sets": {"tip": [3]}}, ["'tip'", "node 3", "0 to 2"]),
         ({"node_sets": {"tip": [0.7]}}, ["'tip' holds 0.7", "whole numbers"]),

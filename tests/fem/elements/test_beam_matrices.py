@@ -11,7 +11,6 @@ from torch.testing import assert_close
 from tests.fem.elements.beam_cases import coupled_section, tip_flexibility
 from tests.mechanisms import turned
 from tests.refused import refused
-from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam import BeamMatrices, section_particles
 from torchmbd.fem.elements.beam_line import BeamLine
 
@@ -89,7 +88,7 @@ def test_axes_follow_the_orientation():
     r = 0.5 / np.hypot(1.0, 0.5)
     assert_close(axes[0], torch.tensor([[1, 0, 0], [0, 2 * r, r], [0, -r, 2 * r]], dtype=torch.float64))
     assert_close(axes[1], torch.tensor([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]], dtype=torch.float64))
-    with pytest.raises(InputError, match=r"orientation \[0.0, 0.0, 1.0\] lies along element 1"):
+    with refused("orientation"):
         BeamMatrices(line, (0.0, 0.0, 1.0))
     with refused("orientation"):
         BeamMatrices(line, (0.0, 1.0))
@@ -117,7 +116,7 @@ def test_particles_have_the_mass_of_the_section():
 def test_masses_of_no_plane_section_are_refused(change):
     M = coupled_section().mass().clone()
     M[change[0], change[1]] *= change[2]
-    with pytest.raises(InputError, match=r"mass of section 0: .* allowed: inertias of a plane section"):
+    with refused("mass.0"):
         section_particles(M[None])
 
 

@@ -97,25 +97,25 @@ def test_reactions_balance_the_loads():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "match"),
+    ("arguments", "path"),
     [
-        ({"loads": {"tip": (0.0, 1.0, 0.0)}}, "tip"),
-        ({"loads": {99: (0.0, 1.0, 0.0)}}, "node is 99; allowed: a name, 0 to 16"),
-        ({"loads": {"end": (0.0, 1.0)}}, "3 or 6"),
-        ({"loads": {"end": (0.0, float("nan"), 0.0)}}, "finite"),
-        ({"loads": [1.0]}, "loads is"),
-        ({"line_load": [[0.0, 1.0, 0.0]] * 3}, "each of 16 elements"),
-        ({"supports": {}}, "supports of 'rod'"),
-        ({"supports": {"start": "u4"}}, "allowed: some of u1"),
-        ({"supports": {"start": "u1 phi1"}}, "1 rotations of node 0"),
-        ({"supports": {"start": (0.0, 0.0, 0.0, 0.1, 0.0, None)}}, "hinge"),
-        ({"supports": {"start": (mbd.variable(0.1), 0.0, 0.0, 0.0, 0.0, 0.0)}}, "support 'start'.*carries a gradient"),
+        ({"loads": {"tip": (0.0, 1.0, 0.0)}}, "node"),
+        ({"loads": {99: (0.0, 1.0, 0.0)}}, "node"),
+        ({"loads": {"end": (0.0, 1.0)}}, "loads['end']"),
+        ({"loads": {"end": (0.0, float("nan"), 0.0)}}, "loads['end']"),
+        ({"loads": [1.0]}, "loads"),
+        ({"line_load": [[0.0, 1.0, 0.0]] * 3}, "line_load"),
+        ({"supports": {}}, "rod.supports"),
+        ({"supports": {"start": "u4"}}, "support 'start' of 'rod'"),
+        ({"supports": {"start": "u1 phi1"}}, "rod.supports.0"),
+        ({"supports": {"start": (0.0, 0.0, 0.0, 0.1, 0.0, None)}}, "rod.supports.0"),
+        ({"supports": {"start": (mbd.variable(0.1), 0.0, 0.0, 0.0, 0.0, 0.0)}}, "support 'start' of 'rod'"),
         ({"gravity": (0.0, 1.0)}, "gravity"),
         ({"spin": 3.0}, "spin"),
     ],
 )
-def test_what_is_refused(arguments, match):
-    with pytest.raises(mbd.InputError, match=match):
+def test_what_is_refused(arguments, path):
+    with refused(path):
         rod().equilibrium(**arguments)
 
 

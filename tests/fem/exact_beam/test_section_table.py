@@ -129,33 +129,31 @@ def test_a_section_that_is_not_positive_definite_is_refused_with_its_position():
     beam = mbd.ExactBeam("blade", mbd.BeamLine.straight(2.0, 4), table)
     with torch.no_grad():
         table.sections[1].matrix[3, 3] = -1.0
-    with pytest.raises(
-        mbd.InputError, match=r"section of 'blade' at 0.255 of its length \(element 1\) is not positive"
-    ):
+    with refused("blade.section"):
         beam.equilibrium({"end": (0.0, 0.1, 0.0)})
 
 
 @pytest.mark.parametrize(
-    ("positions", "sections", "match"),
+    ("positions", "sections", "path"),
     [
-        ([0.0, 0.5], 2, "rising numbers from 0 to 1"),
-        ([0.0, 0.7, 0.6, 1.0], 4, "rising numbers"),
-        ([0.0, 1.0], 3, "3 sections for 2 positions"),
+        ([0.0, 0.5], 2, "positions"),
+        ([0.0, 0.7, 0.6, 1.0], 4, "positions"),
+        ([0.0, 1.0], 3, "sections"),
     ],
 )
-def test_tables_that_are_refused(positions, sections, match):
-    with pytest.raises(mbd.InputError, match=match):
+def test_tables_that_are_refused(positions, sections, path):
+    with refused(path):
         mbd.SectionTable(positions, [given(*[1.0] * 6)] * sections)
 
 
 def test_more_that_is_refused():
-    with pytest.raises(mbd.InputError, match="section at position 1 is 'thin'"):
+    with refused("sections.1", "thin"):
         mbd.SectionTable([0.0, 1.0], [given(*[1.0] * 6), "thin"])
     line = mbd.BeamLine([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 0, 0]], [[0, 1], [1, 2], [1, 3]])
     table = mbd.SectionTable([0.0, 1.0], [given(*[1.0] * 6)] * 2)
     with refused("fork.section"):
         mbd.ExactBeam("fork", line, table)
-    with pytest.raises(mbd.InputError, match="2 sections for 3 elements"):
+    with refused("fork.section"):
         mbd.ExactBeam("fork", line, [given(*[1.0] * 6)] * 2)
     with pytest.raises(mbd.InputError, match=r"turns by more than 2\.6 rad"):
         mbd.ExactBeam("ring", mbd.BeamLine.arc(1.0, 3.0, 1), given(*[1.0] * 6))

@@ -14,6 +14,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import coupled, given, matrix
+from tests.refused import refused
 from torchmbd.fem.exact_beam import vibrations
 
 INCH, E, NU, RHO = 0.0254, 73.1e9, 0.325, 2682.3  # E = 1.06e7 psi, 2.51e-4 lb s2 / in4
@@ -164,9 +165,9 @@ def test_coinciding_frequencies_have_the_mean_of_their_derivatives():
 
 
 def test_what_is_refused():
-    with pytest.raises(mbd.InputError, match="number of frequencies"):
+    with refused("number"):
         rod().frequencies(0)
-    with pytest.raises(mbd.InputError, match="number of frequencies of 'rod' is 10; allowed: 1 to 9"):
+    with refused("number", 10):
         rod(2).frequencies(10, supports={"start": "all", "end": "u1 u2 u3"})
-    with pytest.raises(mbd.InputError, match="no potential"):
+    with refused("loads"):
         rod().frequencies(2, {"end": (0.0, 0.0, 0.0, 1.0, 0.0, 0.0)})

@@ -11,7 +11,6 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.refused import refused
-from torchmbd.errors import InputError
 
 E1, E2, G, NU, A1, A2 = 128e9, 10.1e9, 5.36e9, 0.23, -0.3e-6, 28e-6
 CARBON = mbd.Ply(E1, E2, G, G, 3.6e9, NU, 1586.0, alpha1=A1, alpha2=A2, beta1=0.0, beta2=0.4)
@@ -158,18 +157,18 @@ def test_bad_input_is_refused():
     """Plies without coefficients are named where a change acts on them, and only there."""
     plain = mbd.Ply(E1, E2, G, G, 3.6e9, NU, 1586.0, alpha1=A1)
     stack = mbd.Laminate([CARBON, plain], [0.0, 0.0], 1e-3)
-    for arguments, match in (
+    for arguments, path in (
         (
             {"temperature": 1.0},
-            r"temperature acts on layer 1 of the laminate, whose ply has no alpha2; allowed: a number",
+            "alpha2",
         ),
-        ({"gradient": 1.0}, r"temperature acts on layer 1 .* no alpha2"),
-        ({"moisture": 1.0}, r"moisture acts on layer 1 .* no beta1 and no beta2"),
-        ({"temperature": float("nan")}, "temperature is nan; allowed: a finite number"),
-        ({"moisture": "wet"}, "moisture is 'wet'; allowed: a finite number"),
+        ({"gradient": 1.0}, "alpha2"),
+        ({"moisture": 1.0}, "beta1"),
+        ({"temperature": float("nan")}, "temperature"),
+        ({"moisture": "wet"}, "moisture"),
     ):
         changes: dict[str, Any] = arguments
-        with pytest.raises(InputError, match=match):
+        with refused(path):
             stack.expansion(**changes)
     assert not any(bool(x.any()) for x in stack.expansion())
     for name in ("alpha1", "beta2"):

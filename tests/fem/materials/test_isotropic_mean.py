@@ -7,6 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import IsotropicMean, Laminate, LaminateStiffness, Ply
 
@@ -39,5 +40,5 @@ def test_bad_input_is_named():
         IsotropicMean(0.3, 0.0)
     assert (error.value.path, error.value.value) == (("shear_length",), 0.0)
     lanes = LaminateStiffness(*(torch.eye(k, dtype=torch.float64).expand(2, k, k) for k in (3, 3, 3, 2)))
-    with pytest.raises(InputError, match="one laminate"):
+    with refused("laminate"):
         IsotropicMean.of(lanes)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torch.func import functional_call, jacfwd, jacrev, vmap
 from torch.testing import assert_close
 
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.fem.materials import ENTRIES, Laminate, Ply
 from torchmbd.math.angles import deg
 
@@ -155,21 +155,21 @@ def test_entries_follow_their_published_order():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "path"),
     [
-        ({"angles": [45.0, -45.0]}, r"angles\[0\] = 45.0 rad: must lie .* mbd\.deg"),
-        ({"angles": [0.0, math.nan]}, r"angles\[1\] = nan"),
-        ({"angles": []}, "one angle per layer"),
-        ({"angles": [[0.0]]}, "one angle per layer"),
-        ({"thickness": [1e-3] * 3}, "3 thicknesses for 2 angles"),
-        ({"thickness": [1e-3, 0.0]}, r"thickness\[1\] = 0.0"),
-        ({"thickness": -1e-3}, r"thickness\[0\] = -0.001"),
-        ({"ply": [CARBON]}, "1 plies for 2 angles"),
-        ({"ply": [CARBON, "glass"]}, r"ply\[1\] = 'glass'"),
-        ({"shear_correction": 0.0}, "shear_correction = 0.0"),
-        ({"shear_correction": 1.2}, "shear_correction = 1.2"),
+        ({"angles": [45.0, -45.0]}, "angles.0"),
+        ({"angles": [0.0, math.nan]}, "angles.1"),
+        ({"angles": []}, "Laminate.angles"),
+        ({"angles": [[0.0]]}, "Laminate.angles"),
+        ({"thickness": [1e-3] * 3}, "thickness"),
+        ({"thickness": [1e-3, 0.0]}, "thickness.1"),
+        ({"thickness": -1e-3}, "thickness.0"),
+        ({"ply": [CARBON]}, "ply"),
+        ({"ply": [CARBON, "glass"]}, "ply.1"),
+        ({"shear_correction": 0.0}, "shear_correction"),
+        ({"shear_correction": 1.2}, "shear_correction"),
     ],
 )
-def test_bad_input_is_named(arguments, message):
-    with pytest.raises(InputError, match=message):
+def test_bad_input_is_named(arguments, path):
+    with refused(path):
         Laminate(**({"ply": CARBON, "angles": [0.0, 0.1], "thickness": 1e-3} | arguments))

@@ -99,7 +99,7 @@ def test_stresses_of_rounding_break_nothing():
     ply = mbd.Ply(181e9, 10.3e9, 7.17e9, 7.17e9, 7.17e9, 0.28, 1600.0, strength=strength)
     laminate = mbd.Laminate(ply, mbd.deg([0, 90, 0]), T)
     assert mbd.progressive_failure(laminate, (0, 0, 1e6), criterion="max_stress") == []
-    with pytest.raises(mbd.InputError, match="infinite strength in its plane; allowed with criterion 'puck': finite"):
+    with refused("criterion", "puck"):
         mbd.progressive_failure(laminate, (0, 0, 1e6), criterion="puck")
 
 
@@ -118,7 +118,7 @@ def test_bad_input_is_named():
     with pytest.raises(mbd.InputError) as error:
         mbd.progressive_failure(cross(), (1, 0, 0), criterion="tsai_wu")
     assert (error.value.path, error.value.value) == (("criterion",), "tsai_wu")
-    with pytest.raises(mbd.InputError, match="force and moment are zero"):
+    with refused("force"):
         mbd.progressive_failure(cross())
     with pytest.raises(mbd.InputError) as error:
         mbd.progressive_failure(cross(), (1.0, 2.0))
@@ -126,7 +126,7 @@ def test_bad_input_is_named():
     with pytest.raises(mbd.InputError) as error:
         mbd.progressive_failure(cross(), (1, 0, 0), kept=0)
     assert (error.value.path, error.value.value) == (("kept",), 0)
-    with pytest.raises(mbd.InputError, match="the ply of layer 0 has no strength"):
+    with refused("laminate"):
         mbd.progressive_failure(bare, (1, 0, 0))
 
 

@@ -31,7 +31,7 @@ def test_named_nodes_and_sets():
         mesh.node("orign")
     assert (error.value.path, error.value.value) == (("node",), "orign")
     assert "origin" in error.value.allowed
-    with pytest.raises(InputError, match="'left' has 2 nodes"):
+    with refused("node", "left"):
         mesh.node("left")
 
 
@@ -71,7 +71,7 @@ def test_bad_mesh_is_refused_by_name(nodes, triangles, message):
 
 
 def test_node_set_outside_of_the_mesh():
-    with pytest.raises(InputError, match=r"node_sets\['tip'\] has node 4; allowed: 0 to 3"):
+    with refused("node_sets.tip", 4):
         Mesh(SQUARE, HALVES, {"tip": [4]})
 
 
@@ -86,7 +86,7 @@ def test_lines_connect_and_are_checked():
     mesh = Mesh([*SQUARE, [2.0, 2.0, 0.0]], HALVES, lines=[[2, 4]])
     assert mesh.lines.tolist() == [[2, 4]]
     assert len(Mesh(SQUARE[:2], torch.empty(0, 3), lines=[[0, 1]]).triangles) == 0
-    with pytest.raises(InputError, match=r"line 0 has nodes \[2, 9\]; allowed: two different ones of 0 to 3"):
+    with refused("lines.0"):
         Mesh(SQUARE, HALVES, lines=[[2, 9]])
     twin = Mesh([*SQUARE, SQUARE[1]], HALVES, lines=[[1, 4]])  # a rigid link between two nodes of one place
     assert len(twin.nodes) == 5
@@ -96,7 +96,7 @@ def test_messages_use_the_labels():
     labels = {"node_labels": [f"GRID {k}" for k in (7, 8, 9, 10)], "cell_labels": ["CTRIA3 1", "CTRIA3 2"]}
     with pytest.raises(InputError, match=r"CTRIA3 1, nodes .*, and CTRIA3 2, nodes .*, are wound in opposite senses"):
         Mesh(SQUARE, [[0, 1, 2], [0, 3, 2]], **labels)
-    with pytest.raises(InputError, match=r"1 orphan nodes belong to no element: GRID 10"):
+    with refused("nodes"):
         Mesh(SQUARE, [[0, 1, 2]], **labels)
 
 
@@ -113,9 +113,9 @@ def test_a_patch_of_nodes():
     assert sorted(patch) == sorted(k for k, x in enumerate(mesh.nodes.tolist()) if x[0] ** 2 + x[1] ** 2 < 0.0026)
     assert len(patch) == 5
     assert mesh.within(0.01, (0.2, 0.1, 0.0)) == mesh.node_set("corner_right_top")
-    with pytest.raises(InputError, match=r"within\(0.0, 'center'\); allowed: a radius > 0"):
+    with refused("radius", 0.0):
         mesh.within(0.0)
-    with pytest.raises(InputError, match=r"no node within 0.01 m of \[1.0, 0.0, 0.0\]"):
+    with refused("radius", 0.01):
         mesh.within(0.01, [1.0, 0.0, 0.0])
 
 
@@ -158,5 +158,5 @@ def test_bad_quadrilaterals_are_refused_by_name(nodes, quads, message):
 
 
 def test_a_mesh_of_nothing_is_refused():
-    with pytest.raises(InputError, match="no triangles, no quads and no lines"):
+    with refused("triangles"):
         Mesh(SQUARE)

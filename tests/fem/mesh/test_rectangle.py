@@ -6,7 +6,6 @@ import torch
 from torch.testing import assert_close
 
 from tests.refused import refused
-from torchmbd.errors import InputError
 from torchmbd.fem.mesh import rectangle
 
 
@@ -69,18 +68,18 @@ def test_bandwidth_is_that_of_the_short_direction(cells):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "path"),
     [
-        ((0.0, 1.0, (2, 2)), r"length is 0\.0"),
-        ((1.0, float("nan"), (2, 2)), "width is nan"),
-        ((1.0, 1.0, (2, 0)), r"cells = \(2, 0\)"),
-        ((1.0, 1.0, (2.0, 2)), r"cells = \(2\.0, 2\)"),
-        ((1.0, 1.0, (2, 2, 2)), "two integers"),
-        ((1.0, 1.0, (2000, 2000)), r"cells = \(2000, 2000\) have 4,004,001 nodes; allowed: up to 1,000,000 nodes"),
+        ((0.0, 1.0, (2, 2)), "length"),
+        ((1.0, float("nan"), (2, 2)), "width"),
+        ((1.0, 1.0, (2, 0)), "cells"),
+        ((1.0, 1.0, (2.0, 2)), "cells"),
+        ((1.0, 1.0, (2, 2, 2)), "cells"),
+        ((1.0, 1.0, (2000, 2000)), "cells"),
     ],
 )
-def test_bad_input_is_named(arguments, message):
-    with pytest.raises(InputError, match=message):
+def test_bad_input_is_named(arguments, path):
+    with refused(path):
         rectangle(*arguments)
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.fem.reduction import inertia_invariants
 
 LANES, NODES, MODES = 2, 5, 3
@@ -82,5 +82,5 @@ def test_a_mass_that_only_one_lane_shares_broadcasts(body):
 
 def test_wrong_shapes_are_named(body):
     x, mass, rotary, psi = body
-    with pytest.raises(InputError, match="have shapes"):
+    with refused("x"):
         inertia_invariants(x, mass[..., :-1], rotary, psi)

@@ -9,6 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.fem.sections import Orthotropic
 from torchmbd.fem.sections.orthotropic import in_wall_axes, strain_rotation
@@ -77,7 +78,7 @@ def test_rotation_is_that_of_the_fourth_order_tensor():
         ({"G13": math.nan}, ["G13 = nan"]),
         ({"density": "heavy"}, ["density = 'heavy'"]),
         ({"nu23": 1.3}, ["nu23 = 1.3", "not positive definite"]),
-        ({"nu12": math.inf}, ["nu12 = inf"]),
+        ({"nu12": math.inf}, ["nu12 is inf"]),
     ],
 )
 def test_bad_constants_are_named(change, words):
@@ -89,7 +90,7 @@ def test_bad_constants_are_named(change, words):
 
 def test_a_ply_without_a_solid_is_refused():
     """G23 below E2 / 4 asks for nu23 > 1."""
-    with pytest.raises(InputError, match=r"G23 = 2000000000.0 is not a transversely isotropic .* nine constants"):
+    with refused("ply"):
         Orthotropic.of(mbd.Ply(E1=130e9, E2=10e9, G12=5e9, G13=5e9, G23=2e9, nu12=0.3, density=1600.0))
     with pytest.raises(InputError) as error:
         Orthotropic.of("carbon")  # pyright: ignore[reportArgumentType]

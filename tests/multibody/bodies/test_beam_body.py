@@ -15,7 +15,6 @@ from tests.fem.elements.beam_cases import coupled_section
 from tests.fem.sections.section_cases import ANBA
 from tests.mechanisms import finished, turned
 from tests.refused import refused
-from torchmbd.errors import InputError
 from torchmbd.fem import sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 
@@ -35,7 +34,7 @@ def test_angles_of_the_section_are_the_parameters():
     one, two = strip(20.0), strip(70.0)
     tapered = mbd.FlexibleBody.beam("arm", BeamLine.straight(0.6, 4), [one, one, two, one], modes=3, reference="start")
     assert [name for name, _ in tapered.named_parameters()] == ["section0.angles", "section1.angles"]
-    with pytest.raises(InputError, match="2 sections for 4 elements of 'arm'"):
+    with refused("arm.section"):
         mbd.FlexibleBody.beam("arm", BeamLine.straight(0.6, 4), [one, two])
     with refused("arm.line"):
         mbd.FlexibleBody.beam("arm", mbd.mesh.rectangle(1.0, 0.1, (2, 1)), one)  # pyright: ignore[reportArgumentType]

@@ -184,7 +184,7 @@ def test_refusals():
     bad = (matrix(1.0, 1, 1, 1, -1, 1), MASS)
     with pytest.raises(mbd.InputError, match=r"section at position 0\.5"):
         mbd.SectionTable([0.0, 0.5, 1.0], [(SECTION.stiffness(), MASS), bad, (SECTION.stiffness(), MASS)])
-    with pytest.raises(mbd.InputError, match="line of the flexible beam 'beam' varies"):
+    with refused("beam.line"):
         mbd.FlexibleBeam("beam", mbd.BeamLine(nn.Parameter(line.nodes.clone())), SECTION)
     beam = mbd.FlexibleBeam("beam", line, SECTION)
     with refused("node"):
@@ -192,7 +192,7 @@ def test_refusals():
     with refused("beam.node", 4):
         beam.at(4)
     other = mbd.RigidBody("other", 1.0, (1.0, 1.0, 1.0))
-    with pytest.raises(mbd.InputError, match="no joint and no force holds 'beam'"):
+    with refused("bodies"):
         mbd.System([beam, other], [mbd.Fixed(GROUND.at(), other.at())])
-    with pytest.raises(mbd.InputError, match="damping of 'beam'"):
+    with refused("beam.damping"):
         mbd.FlexibleBeam("beam", line, SECTION, damping=-1.0)

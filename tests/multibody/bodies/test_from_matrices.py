@@ -232,34 +232,34 @@ def _changed(A, i, j, value):
 WRONG = {
     "not symmetric": (
         lambda M, K: {"K": _changed(K, 3, 9, 1e3)},
-        r"K of 'arm' is not symmetric: .* node 0 rx and node 1 rx",
+        r"arm.K is not symmetric: .* node 0 rx and node 1 rx",
     ),
-    "one half": (lambda M, K: {"K": scipy.sparse.csr_array(scipy.sparse.triu(K))}, r"K of 'arm' is not symmetric"),
-    "held": (lambda M, K: {"K": _changed(K, 0, 0, 1e9)}, r"K of 'arm' resists a rigid translation x"),
-    "negative": (lambda M, K: {"K": -1.0 * K}, r"K of 'arm' is not positive definite"),
-    "no mass": (lambda M, K: {"M": 0.0 * M}, r"M of 'arm' has the masses"),
+    "one half": (lambda M, K: {"K": scipy.sparse.csr_array(scipy.sparse.triu(K))}, r"arm.K is not symmetric"),
+    "held": (lambda M, K: {"K": _changed(K, 0, 0, 1e9)}, r"arm.K resists a rigid translation x"),
+    "negative": (lambda M, K: {"K": -1.0 * K}, r"arm.K is not positive definite"),
+    "no mass": (lambda M, K: {"M": 0.0 * M}, r"arm.M has the masses"),
     "a size": (lambda M, K: {"K": K[:-6, :-6]}, r"shapes \(42, 42\), \(36, 36\); allowed: 42"),
     "nodes": (lambda M, K: {"nodes": NODES[:-1]}, r"42 rows for 6 nodes; allowed: 18 or 36, or `freedoms`"),
-    "K": (lambda M, K: {"K": None}, r"K of 'arm' is None"),
+    "K": (lambda M, K: {"K": None}, r"arm.K is None"),
     "not finite": (lambda M, K: {"K": _changed(K, 2, 2, np.nan)}, r"not finite"),
     "words": (
         lambda M, K: {"K": "nowhere.mtx"},
-        r"K of 'arm' is 'nowhere.mtx'; allowed: numbers, such as mbd.read",
+        r"arm.K is 'nowhere.mtx'; allowed: numbers, such as mbd.read",
     ),
-    "modes": (lambda M, K: {"modes": 99}, r"modes of 'arm' is 99; allowed: a whole number up to 36"),
+    "modes": (lambda M, K: {"modes": 99}, r"arm.modes is 99; allowed: a whole number up to 36"),
     "shapes": (
         lambda M, K: {"modes": np.eye(5)},
-        r"modes of 'arm' have shape \(5, 5\); .* shapes \[42, m\]",
+        r"arm.modes have shape \(5, 5\); .* shapes \[42, m\]",
     ),
     "reference": (lambda M, K: {"reference": "left"}, r"'left'"),
-    "reduction": (lambda M, K: {"reduction": "guyan"}, r"reduction of 'arm'"),
-    "interface": (lambda M, K: {"interface": "start"}, r"interface of 'arm' has node 0"),
+    "reduction": (lambda M, K: {"reduction": "guyan"}, r"arm.reduction"),
+    "interface": (lambda M, K: {"interface": "start"}, r"arm.interface has node 0"),
     "derivative": (
         lambda M, K: {"derivatives": {"E": (1.0, M)}},
         r"(?s)derivatives of 'arm': 'E'.*\(value, dM, dK\)",
     ),
     "a name": (lambda M, K: {"derivatives": {"a b": (1.0, M, K)}}, r"allowed: a Python identifier"),
-    "freedoms": (lambda M, K: {"freedoms": 5}, r"freedoms of 'arm' is 5; allowed: 3, 6, or"),
+    "freedoms": (lambda M, K: {"freedoms": 5}, r"arm.freedoms is 5; allowed: 3, 6, or"),
 }
 
 

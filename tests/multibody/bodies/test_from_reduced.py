@@ -116,13 +116,13 @@ def test_inertia_may_stand_for_its_matrix(plate, made):
 WRONG = {
     "lacks": (lambda x: {"invariants": {k: v for k, v in x.items() if k != "C0"}}, "lack 'C0'"),
     "unknown": (lambda x: {"invariants": x | {"C2": 1.0}}, "'C2'"),
-    "shape": (lambda x: {"invariants": x | {"S1": torch.zeros(3, 7)}}, r"S1 of 'arm' has shape \(3, 7\)"),
-    "negative": (lambda x: {"invariants": x | {"mass": -1.0}}, "mass of 'arm' is not positive"),
-    "Kr": (lambda x: {"Kr": -torch.eye(3)}, "Kr of 'arm' is not positive definite"),
-    "Kr's shape": (lambda x: {"Kr": torch.eye(2)}, r"Kr of 'arm' has shape \(2, 2\)"),
-    "K2's shape": (lambda x: {"K2": torch.zeros(3, 3)}, r"K2 of 'arm' has shape \(3, 3\)"),
-    "K2": (lambda x: {"K2": torch.arange(27.0).reshape(3, 3, 3)}, "K2 of 'arm' changes with the order of its axes"),
-    "modes": (lambda x: {"modes": torch.zeros(3, 6, 2)}, r"modes of 'arm' have shape \(3, 6, 2\)"),
+    "shape": (lambda x: {"invariants": x | {"S1": torch.zeros(3, 7)}}, r"arm.S1 has shape \(3, 7\)"),
+    "negative": (lambda x: {"invariants": x | {"mass": -1.0}}, "arm.mass is not positive"),
+    "Kr": (lambda x: {"Kr": -torch.eye(3)}, "arm.Kr is not positive definite"),
+    "Kr's shape": (lambda x: {"Kr": torch.eye(2)}, r"arm.Kr has shape \(2, 2\)"),
+    "K2's shape": (lambda x: {"K2": torch.zeros(3, 3)}, r"arm.K2 has shape \(3, 3\)"),
+    "K2": (lambda x: {"K2": torch.arange(27.0).reshape(3, 3, 3)}, "arm.K2 changes with the order of its axes"),
+    "modes": (lambda x: {"modes": torch.zeros(3, 6, 2)}, r"arm.modes have shape \(3, 6, 2\)"),
 }
 
 
@@ -137,7 +137,7 @@ def test_what_is_no_body_is_refused(plate, made, case):
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no archive", b"\x93NUMPY\x01\x00"])
 def test_files_of_another_kind_are_refused(tmp_path, content):
     (tmp_path / "x.npz").write_bytes(content)
-    with pytest.raises(InputError, match=r"x.npz is not a reduced body"):
+    with refused("x.npz"):
         mbd.FlexibleBody.from_reduced("arm", tmp_path / "x.npz")
     with refused("arm.nodes"):
         mbd.FlexibleBody.from_reduced("arm", tmp_path / "y.npz")
@@ -149,16 +149,16 @@ def test_ply_stress_names_what_is_missing(plate, tmp_path):
     hinge = mbd.Revolute(mbd.Ground().at(0, 0, 0), body.at(0), axis="y")
     motion = mbd.simulate(mbd.System([body], [hinge]), 0.01, steps=5, gradients="none")
     assert torch.isfinite(mbd.Max(mbd.StrainEnergy("arm"))(motion)).all()
-    with pytest.raises(InputError, match="'arm'"):
+    with refused("body", "arm"):
         mbd.Max(mbd.PlyStress("arm", "11"))(motion)
-    with pytest.raises(InputError, match="reduced elsewhere"):
+    with refused("arm"):
         body.save_matrices(tmp_path / "m")
 
 
 def test_arguments_that_would_be_ignored_are_refused(plate, made, tmp_path):
     """A file has modes and node sets, and so has a mesh."""
     path = plate.save_reduced(tmp_path / "arm.npz")
-    with pytest.raises(InputError, match="modes, node_sets of 'arm' given beside a file"):
+    with refused("arm.modes"):
         mbd.FlexibleBody.from_reduced("arm", path, modes=2, node_sets={"tip": [0]})
     with refused("arm.node_sets", {"tip": [0]}):
         mbd.FlexibleBody.from_reduced("arm", plate.mesh, made["psi"], made["Kr"], numbers(made), node_sets={"tip": [0]})

@@ -133,28 +133,28 @@ def test_edges_of_a_mesh():
     left = float(mesh.nodes[:, 0].min())
     assert mesh.edge(x=left) == tuple(sorted(mesh.node_set("left_edge")))
     assert len(mesh.edge()) == 2 * (4 + 2)
-    with pytest.raises(mbd.InputError, match="no edge at x=9"):
+    with refused("edge"):
         mesh.edge(x=9.0)
 
 
 @pytest.mark.parametrize(
-    ("interface", "words"),
+    ("interface", "path"),
     [
-        ({"a": ["left", "center"]}, "is held"),
-        ({"a": "left_edge", "b": ["left", "right"]}, "in another mean motion"),
-        ({"a": mbd.Interface(["left", "left"])}, "has a node twice"),
-        ({"left_edge": "right_edge"}, "has the name of other nodes"),
-        ({3: "left_edge"}, "has the name 3"),
-        ({"a": "nowhere"}, "nowhere"),
+        ({"a": ["left", "center"]}, "means.17"),
+        ({"a": "left_edge", "b": ["left", "right"]}, "means.2"),
+        ({"a": mbd.Interface(["left", "left"])}, "plate.interface"),
+        ({"left_edge": "right_edge"}, "plate.interface"),
+        ({3: "left_edge"}, "plate.interface"),
+        ({"a": "nowhere"}, "node"),
     ],
 )
-def test_wrong_interfaces_are_refused(interface, words):
-    with pytest.raises(mbd.InputError, match=words):
+def test_wrong_interfaces_are_refused(interface, path):
+    with refused(path):
         plate(interface=interface)
 
 
 def test_wrong_options_are_refused():
-    with pytest.raises(mbd.InputError, match="rigid of an Interface is 1"):
+    with refused("Interface.rigid", 1):
         mbd.Interface("left_edge", rigid=1)
     with refused("weights"):
         mbd.Interface("left_edge", rigid=True, weights=[1.0])

@@ -9,7 +9,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import cross_matrix, laminate, plate, tensor, turned
-from torchmbd.errors import InputError
+from tests.refused import refused
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.joints.joint import Attached, AttachmentTable
 
@@ -124,23 +124,23 @@ def test_a_rigid_set_moves_as_its_leader():
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("given", "path"),
     [
         (
             {"node": "left_edge", "weights": (1.0, 2.0)},
-            "weights is .* for 3 nodes; allowed: a positive number for each",
+            "weights",
         ),
-        ({"node": [3, 4], "weights": (1.0, -2.0)}, "allowed: a positive number for each node"),
-        ({"node": [3, 99]}, "node is 99; allowed: a node name or 0 to 14"),
-        ({"node": "left_edgy"}, "did you mean 'left_edge'"),
-        ({"node": 3, "offset": (1.0, 2.0)}, "offset is .*; allowed: three finite numbers"),
+        ({"node": [3, 4], "weights": (1.0, -2.0)}, "weights"),
+        ({"node": [3, 99]}, "node"),
+        ({"node": "left_edgy"}, "node"),
+        ({"node": 3, "offset": (1.0, 2.0)}, "offset"),
     ],
 )
-def test_frames_that_are_none(given, message):
-    with pytest.raises(InputError, match=message):
+def test_frames_that_are_none(given, path):
+    with refused(path):
         plate("a").at(**given)
 
 
 def test_a_rigid_set_of_one_node_is_refused():
-    with pytest.raises(InputError, match="rigid has the set 'left' of one node; allowed: sets of two nodes at least"):
+    with refused("rigid"):
         mbd.FlexibleBody.plate("a", MESH, laminate(), modes=3, rigid=["left"])

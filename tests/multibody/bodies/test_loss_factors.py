@@ -122,7 +122,7 @@ def test_what_has_no_loss_is_refused():
     ply = mbd.Ply(**MODULI, loss=0.01)
     with refused("loss", -0.1):
         mbd.Ply(**MODULI, loss=-0.1)
-    with pytest.raises(mbd.InputError, match=r"ply of a section has the loss factor 0\.01; allowed: 0"):
+    with refused("ply"):
         mbd.sections.strip(0.03, ply, mbd.deg([0.0]), 1e-3)
-    with pytest.raises(mbd.InputError, match="ply of LaminationParameters has the loss factor"):
+    with refused("ply"):
         mbd.LaminationParameters(ply, [0.0] * 4, [0.0] * 4, 1e-3)

@@ -57,23 +57,23 @@ def test_places_and_gravity_are_saved_with_the_module():
     ("given", "words"),
     [
         ({"name": "two words"}, ["name of the rigid body", "'two words'", "identifier"]),
-        ({"mass": 0.0}, ["mass of 'box'", "0.0 kg", "positive"]),
-        ({"mass": "1.0"}, ["mass of 'box'", "'1.0'", "positive"]),
-        ({"inertia": "round"}, ["inertia of 'box'", "'round'", "three numbers"]),
-        ({"position": "here"}, ["position of 'box'", "'here'", "three finite numbers"]),
-        ({"axes": [[1, 0, 0], [0, 1]]}, ["axes of 'box'", "[[1, 0, 0], [0, 1]]", "3 x 3"]),
-        ({"mass": math.nan}, ["mass of 'box'", "nan", "positive"]),
-        ({"inertia": (1.0, 1.0)}, ["inertia of 'box'", "(1.0, 1.0)", "3 x 3"]),
-        ({"inertia": (1.0, 1.0, 2.1)}, ["inertia of 'box'", "2.1", "sum of any two"]),
-        ({"inertia": (-1.0, 1.0, 1.0)}, ["inertia of 'box'", "-1.0", "none negative"]),
-        ({"inertia": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, ["inertia of 'box'", "0.5", "symmetric"]),
-        ({"center": (0.0, math.inf, 0.0)}, ["center of 'box'", "inf", "three finite numbers"]),
-        ({"position": (0.0, 0.0)}, ["position of 'box'", "(0.0, 0.0)", "three finite numbers"]),
-        ({"velocity": (0.0, 0.0, math.nan)}, ["velocity of 'box'", "nan", "three finite numbers"]),
-        ({"angular_velocity": (1.0,)}, ["angular_velocity of 'box'", "(1.0,)", "three finite numbers"]),
-        ({"axes": torch.eye(2)}, ["axes of 'box'", "(2, 2)", "3 x 3"]),
-        ({"axes": 2.0 * torch.eye(3)}, ["axes of 'box'", "3.0e+00", "orthonormal"]),
-        ({"axes": -torch.eye(3)}, ["axes of 'box'", "det A = -1", "right-handed"]),
+        ({"mass": 0.0}, ["box.mass", "0.0 kg", "positive"]),
+        ({"mass": "1.0"}, ["box.mass", "'1.0'", "positive"]),
+        ({"inertia": "round"}, ["box.inertia", "'round'", "three numbers"]),
+        ({"position": "here"}, ["box.position", "'here'", "three finite numbers"]),
+        ({"axes": [[1, 0, 0], [0, 1]]}, ["box.axes", "[[1, 0, 0], [0, 1]]", "3 x 3"]),
+        ({"mass": math.nan}, ["box.mass", "nan", "positive"]),
+        ({"inertia": (1.0, 1.0)}, ["box.inertia", "(1.0, 1.0)", "3 x 3"]),
+        ({"inertia": (1.0, 1.0, 2.1)}, ["box.inertia", "2.1", "sum of any two"]),
+        ({"inertia": (-1.0, 1.0, 1.0)}, ["box.inertia", "-1.0", "none negative"]),
+        ({"inertia": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, ["box.inertia", "0.5", "symmetric"]),
+        ({"center": (0.0, math.inf, 0.0)}, ["box.center", "inf", "three finite numbers"]),
+        ({"position": (0.0, 0.0)}, ["box.position", "(0.0, 0.0)", "three finite numbers"]),
+        ({"velocity": (0.0, 0.0, math.nan)}, ["box.velocity", "nan", "three finite numbers"]),
+        ({"angular_velocity": (1.0,)}, ["box.angular_velocity", "(1.0,)", "three finite numbers"]),
+        ({"axes": torch.eye(2)}, ["box.axes", "(2, 2)", "3 x 3"]),
+        ({"axes": 2.0 * torch.eye(3)}, ["box.axes", "3.0e+00", "orthonormal"]),
+        ({"axes": -torch.eye(3)}, ["box.axes", "det A = -1", "right-handed"]),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )
@@ -86,11 +86,11 @@ def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words):
 
 def test_bad_frames_are_named():
     box = mbd.RigidBody("box", mass=1.0, inertia=(1.0, 1.0, 1.0))
-    with pytest.raises(InputError, match=r"point on 'box' is \(0.0, nan, 0.0\); allowed: three finite numbers"):
+    with refused("box.point"):
         box.at(0.0, math.nan, 0.0)
     with refused("axes"):
         mbd.Ground().at(axes=[[1, 1, 0], [0, 1, 0], [0, 0, 1]])
-    with pytest.raises(InputError, match=r"axis is 'w'; allowed: 'x', 'y', 'z'"):
+    with refused("axis", "w"):
         box.at().axis("w")
 
 

@@ -101,7 +101,7 @@ def test_bad_observers_are_named():
         mbd.equilibrium(system, spin=(1.0, 0.0, 0.0), observer="moon")
     with refused("observer", "ground"):
         mbd.equilibrium(system, observer="ground")
-    with pytest.raises(mbd.InputError, match="body 'shaft', whose modes turn with it"):
+    with refused("observer"):
         mbd.equilibrium(system, spin=(1.0, 0.0, 0.0), observer="ground")
     with refused("spin", [[1.0, 0.0], [2.0, 0.0]]):
         mbd.equilibrium(system, spin=[[1.0, 0.0], [2.0, 0.0]])

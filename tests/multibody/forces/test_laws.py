@@ -48,7 +48,7 @@ def test_a_stop_pushes_one_way_only():
     ("make", "words"),
     [
         (lambda: Table(((0.0, 1.0), (0.0, 2.0))), ["knots", "growing"]),
-        (lambda: Pieces((0.0,), (1.0,), (1.0, 2.0), 0.1), ["1 borders", "1 intercepts"]),
+        (lambda: Pieces((0.0,), (1.0,), (1.0, 2.0), 0.1), ["borders are 1", "1 intercepts"]),
         (lambda: Pieces((0.0, 0.1), (1.0,) * 3, (0.0,) * 3, 0.1), ["borders", "apart"]),
         (lambda: Gap(1.0, sign=0.5), ["sign", "0.5"]),
     ],

@@ -12,6 +12,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, tensor, turned
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.multibody.joints.laws import ConstantSpeed, FiniteLaw, Sine, SmoothStep
 from torchmbd.multibody.joints.primitive import Law, slopes
@@ -41,7 +42,7 @@ LEAVES_TORCH = {
 
 @pytest.mark.parametrize("name", LEAVES_TORCH)
 def test_a_law_that_leaves_torch_is_refused_by_name(name):
-    with pytest.raises(InputError, match=r"angle of 'motor' .*; allowed: a torch function of time"):
+    with refused("motor.angle"):
         mbd.Drive(mbd.Ground(), box("b"), axis="z", angle=LEAVES_TORCH[name], name="motor")
 
 
@@ -120,23 +121,23 @@ def hinged(**law) -> mbd.System:
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_a_law_that_turns_nan_is_named_with_its_time(method):
     system = hinged(angle=lambda t: torch.sqrt(0.25 - t) - 0.5)
-    with pytest.raises(InputError, match=r"law of 'motor'.* not finite at t = 0\.2[56].*allowed: a finite number"):
+    with refused("motor.law"):
         mbd.simulate(system, 0.5, method=method, steps=50)
 
 
 @pytest.mark.parametrize(
-    ("law", "message"),
+    ("law", "path"),
     [
-        ({}, "'motor' has no law; allowed: exactly one of speed, angle, velocity, position"),
-        ({"speed": 1.0, "position": lambda t: t}, "allowed: exactly one of"),
-        ({"speed": float("nan")}, "speed of 'motor' is nan; allowed: a finite number"),
-        ({"velocity": "fast"}, "velocity of 'motor' is 'fast'; allowed: a finite number"),
-        ({"angle": 0.3}, "angle of 'motor' gives 0.3 at t = 0; allowed: a torch function of time"),
-        ({"position": lambda t: t * float("nan")}, r"position of 'motor' gives .*nan.*finite \[\] \[m\]"),
+        ({}, "motor"),
+        ({"speed": 1.0, "position": lambda t: t}, "motor"),
+        ({"speed": float("nan")}, "motor.speed"),
+        ({"velocity": "fast"}, "motor.velocity"),
+        ({"angle": 0.3}, "motor.angle"),
+        ({"position": lambda t: t * float("nan")}, "motor.position"),
     ],
 )
-def test_a_drive_refuses_laws_that_are_none(law, message):
-    with pytest.raises(InputError, match=message):
+def test_a_drive_refuses_laws_that_are_none(law, path):
+    with refused(path):
         hinged(**law)
 
 

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.fem.elements import Assembly, Beams, GivenElements
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.statics import VibrationCase
@@ -178,25 +179,25 @@ def test_springs_between_beams_vibrate():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "path"),
     [
-        ({"body": "rod"}, "body of frequencies is 'rod'; allowed: a FlexibleBody"),
-        ({"supports": 3}, "supports of 'panel' is 3; allowed: nodes -> freedoms, {} for a free body, or None"),
-        ({"supports": {"lef": "all"}}, "does not exist"),
-        ({"supports": {"left_edge": "u4"}}, "support 'left_edge' of 'panel' is 'u4'"),
+        ({"body": "rod"}, "body"),
+        ({"supports": 3}, "panel.supports"),
+        ({"supports": {"lef": "all"}}, "node"),
+        ({"supports": {"left_edge": "u4"}}, "panel.supports.left_edge"),
         (
             {"supports": {"left_edge": (0.0, 0.1, None, 0.0, 0.0, 0.0)}},
-            "supports impose 0.1 on u2 of node 0 of 'panel'",
+            "panel.supports.0",
         ),
-        ({"number": 0}, "number is 0; allowed: 1 to"),
-        ({"number": 1000}, "number is 1000; allowed: 1 to 36, the free freedoms of 'panel'"),
-        ({"number": 1.5}, "number is 1.5"),
-        ({"number": 49, "supports": {}}, "number is 49; allowed: 1 to 48"),
+        ({"number": 0}, "number"),
+        ({"number": 1000}, "number"),
+        ({"number": 1.5}, "number"),
+        ({"number": 49, "supports": {}}, "number"),
     ],
 )
-def test_wrong_arguments_are_named(change, message):
+def test_wrong_arguments_are_named(change, path):
     arguments: dict[str, Any] = {"body": panel((2, 2))} | change
-    with pytest.raises(mbd.InputError, match=message):
+    with refused(path):
         mbd.frequencies(**arguments)
 
 
@@ -205,5 +206,5 @@ def test_bodies_of_matrices_are_refused():
     assembly = Assembly(line, {"beam": Beams(line, mbd.sections.tube(0.03, CARBON, [0.3], 5e-4))})
     K, M = (x.dense().detach() for x in (assembly.stiffness(), assembly.mass()) if isinstance(x, SparseMatrix))
     body = mbd.FlexibleBody.from_matrices("bar", M, K, line.nodes, modes=1)
-    with pytest.raises(mbd.InputError, match="body 'bar' of frequencies is made of matrices"):
+    with refused("bar"):
         mbd.frequencies(body)

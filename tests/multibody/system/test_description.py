@@ -9,6 +9,7 @@ import pytest
 import torchmbd as mbd
 from tests.mechanisms import box, plate
 from tests.multibody.start.test_initial import four_bar
+from tests.refused import refused
 from torchmbd.errors import InputError
 from torchmbd.examples.slider_crank import build
 
@@ -63,9 +64,9 @@ def test_a_free_body_has_no_joints_to_print():
 def test_a_body_left_unconnected_is_named():
     a, b, c = box("a"), box("b"), box("c")
     joints = [mbd.Revolute(mbd.Ground().at(), a.at())]
-    with pytest.raises(InputError, match=r"no joint and no force holds 'b', 'c'; allowed: .* free=\['b', 'c'\]"):
+    with refused("bodies"):
         mbd.System([a, b, c], joints)
-    with pytest.raises(InputError, match=r"free names \['d'\]; allowed: names of bodies, \['a', 'b', 'c'\]"):
+    with refused("free"):
         mbd.System([a, b, c], joints, free=["b", "c", "d"])
 
 
@@ -108,9 +109,9 @@ def test_frames_are_shown_by_the_names_of_their_nodes():
 def test_a_joint_that_is_listed_twice_is_refused():
     body = box("a")
     joint, spring = mbd.Revolute(mbd.Ground().at(), body.at()), mbd.Force(body.at(), (1.0, 0.0, 0.0))
-    with pytest.raises(InputError, match="joints: 'revolute_ground_a' is listed 2 times"):
+    with refused("joints.revolute_ground_a"):
         mbd.System([body], [joint, joint])
-    with pytest.raises(InputError, match=r"forces: '.*' is listed 2 times"):
+    with refused("forces.force_a"):
         mbd.System([body], [joint], [spring, spring])
 
 
@@ -127,5 +128,5 @@ def test_joints_with_the_same_equations_are_told():
 
 def test_a_joint_on_another_body_of_the_same_name_is_named():
     body, other = box("a"), box("a")
-    with pytest.raises(InputError, match="joints or forces hold other bodies of the names 'a'"):
+    with refused("bodies"):
         mbd.System([body], [mbd.Revolute(mbd.Ground().at(), other.at())])

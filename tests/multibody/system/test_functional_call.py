@@ -14,7 +14,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
-from torchmbd.errors import InputError
+from tests.refused import refused
 
 ANGLES = "arm.laminate.angles"
 NEW = tensor(1.3, -0.3)
@@ -100,7 +100,7 @@ def test_constants_are_taken_or_refused():
     other = mbd.System(system.bodies, system.joints, system.forces, gravity=g)
     assert torch.equal(functional_call(system, {"gravity": g}, ())(0.0, z), other()(0.0, z))
     for transform in (grad, jacfwd):
-        with pytest.raises(InputError, match="'gravity' is a constant: it has no gradient"):
+        with refused("gravity"):
             transform(lambda x: functional_call(system, {"gravity": x}, ())(0.0, z).sum())(g)
 
 

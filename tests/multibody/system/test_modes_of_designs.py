@@ -10,6 +10,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.refused import refused
 
 GJ = "arm.section.stiffness_44"
 MIXED = torch.tensor([30.0, 130.0, 316.0, 2500.0], dtype=torch.float64)  # 3, 5, 7, 4 modes for modes=3
@@ -144,7 +145,7 @@ def test_damping_ratios_and_modal_starts_belong_to_the_lowest_modes():
     for lane in range(4):
         assert_close(rows(batch)[lane], rows(motion(model, MIXED[lane : lane + 1]))[0], rtol=1e-9, atol=0.0)
     start = {"arm.modal": torch.tensor([0.0, 0.0, 0.0, 0.0, 1e-3], dtype=torch.float64)}
-    with pytest.raises(mbd.InputError, match="modal"):
+    with refused("start.arm"):
         motion(system(3), MIXED, start=start)
 
 
@@ -160,7 +161,7 @@ def test_phases_take_the_numbers_of_their_designs():
 
 
 def test_more_modes_than_freedoms_are_refused():
-    with pytest.raises(mbd.InputError, match=r"modes of 'arm' is 37; allowed: a whole number, 1 to 36"):
+    with refused("arm.modes", 37):
         system(37)
 
 

@@ -10,7 +10,6 @@ import torch
 
 import torchmbd as mbd
 from tests.refused import refused
-from torchmbd.errors import InputError
 
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
 TUBE = mbd.sections.tube(0.02, CARBON, mbd.deg([30, -30]), 5e-4)
@@ -56,17 +55,17 @@ def test_nodes_and_parameters():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "path"),
     [
-        ({"body": 3.0}, "body of split is 3.0; allowed: a body of FlexibleBody.beam"),
-        ({"body": arm().moving(velocity=(1.0, 0.0, 0.0))}, "body 'arm' of split has motion or position of its own"),
-        ({"body": arm().damped(0.1)}, "body 'arm' of split has damping ratios"),
-        ({"n": 10}, "n is 10; allowed: 1 to 9, the elements of 'arm'"),
-        ({"modes": -1}, "modes is -1; allowed: 0, 1, 2"),
+        ({"body": 3.0}, "body"),
+        ({"body": arm().moving(velocity=(1.0, 0.0, 0.0))}, "arm"),
+        ({"body": arm().damped(0.1)}, "arm"),
+        ({"n": 10}, "n"),
+        ({"modes": -1}, "modes"),
     ],
 )
-def test_wrong_arguments_are_named(change: dict, message: str):
-    with pytest.raises(InputError, match=message):
+def test_wrong_arguments_are_named(change: dict, path: str):
+    with refused(path):
         mbd.split(**{"body": arm(), "n": 3} | change)
 
 
@@ -74,10 +73,10 @@ def test_wrong_arguments_are_named(change: dict, message: str):
 def test_other_bodies_are_refused():
     laminate = mbd.Laminate(CARBON, [0.0], [1e-3])
     plate = mbd.FlexibleBody.plate("panel", mbd.mesh.rectangle(0.5, 0.1, (4, 2)), laminate, modes=2)
-    with pytest.raises(InputError, match="body 'panel' of split is not a beam"):
+    with refused("panel"):
         mbd.split(plate, 2)
     fork = mbd.BeamLine([[0.0, 0, 0], [1.0, 0, 0], [2.0, 1, 0], [2.0, -1, 0]], [[0, 1], [1, 2], [1, 3]])
-    with pytest.raises(InputError, match="line of 'arm' has branches, or nodes that vary"):
+    with refused("arm.line"):
         mbd.split(arm(fork, reference=0), 2)
     with refused("node"):
         mbd.split(arm(), 2, interface=None)

@@ -13,6 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, SOFT, laminate, pendulum, plate
+from tests.refused import refused
 from torchmbd.errors import InputError
 
 ANGLES, STIFFNESS = "rod.laminate.angles", "spring.stiffness"
@@ -136,9 +137,9 @@ def test_what_it_computes_in():
     f = system()
     y0 = f.initial_state().detach()
     assert torch.equal(f.to(torch.float64)(0.0, y0), f.to("cpu")(0.0, y0))
-    with pytest.raises(InputError, match=r"^state z is torch.float32 on cpu; allowed: torch.float64 on cpu$"):
+    with refused("z"):
         f(0.0, y0.float())
-    with pytest.raises(InputError, match=r"^state z is torch.float64 on meta; allowed: torch.float64 on cpu$"):
+    with refused("z"):
         f(0.0, y0.to("meta"))
     with pytest.raises(
         InputError, match=r"^the system was moved to torch.float32 on cpu; allowed: torch.float64 on cpu$"

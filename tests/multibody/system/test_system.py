@@ -76,7 +76,7 @@ def test_a_state_may_have_lanes_or_none():
     dynamics = pendulum()()
     z = dynamics.initial_state().detach()
     assert_close(dynamics(0.0, z[0]), dynamics(torch.zeros(()), z)[0])
-    with pytest.raises(InputError, match=r"state z has shape \(1, 5\); allowed: \[\d+\] or \[lanes, \d+\]"):
+    with refused("z"):
         dynamics(0.0, z[:, :5])
 
 
@@ -113,27 +113,25 @@ class TestDoor:
     def test_bodies(self):
         with refused("bodies", []):
             mbd.System([])
-        with pytest.raises(InputError, match="body name 'a' is used 2 times; allowed: unique names"):
+        with refused("bodies", "a"):
             mbd.System([box("a"), box("a")])
 
     @pytest.mark.parametrize(
         "name", ["dynamics", "forward", "topology", "body", "_saddle", "train", "stabilization", "ground"]
     )
     def test_a_name_that_would_hide_an_attribute(self, name):
-        with pytest.raises(InputError, match=f"body name '{name}' is taken by torchmbd; allowed: any other identifier"):
+        with refused("bodies"):
             mbd.System([box(name)])
 
     def test_joints_to_bodies_that_are_not_in_the_system(self):
         a, b = box("a"), box("b")
-        with pytest.raises(
-            InputError, match="joint 'spherical_a_b' is attached to body 'b', which is not among the bodies"
-        ):
+        with refused("joints.spherical_a_b"):
             mbd.System([a], [mbd.Spherical(a.at(), b.at())])
 
     def test_a_body_called_ground_is_not_the_ground(self):
         """Left out of `bodies`, it would silently become the inertial frame."""
         a, impostor = box("a"), box("ground")
-        with pytest.raises(InputError, match="'ground'"):
+        with refused("joints.spherical_a_ground"):
             mbd.System([a], [mbd.Spherical(a.at(), impostor.at())])
 
     @pytest.mark.parametrize("gravity", [9.81, (0.0, -9.81), (0.0, 0.0, math.inf)])
@@ -160,7 +158,7 @@ class TestDoor:
             system.dynamics({"rod.laminate.angle": mbd.deg([[1.0, 2.0]])})
         with refused("rod.laminate.angles"):
             system.dynamics({"rod.laminate.angles": mbd.deg([1.0, 2.0])})
-        with pytest.raises(InputError, match=r"rod.laminate.angles"):
+        with refused("tangents", "rod.laminate.angles"):
             system.dynamics({}, tangents=["rod.laminate.angles"])
 
     def test_lanes_that_do_not_agree(self):
@@ -175,50 +173,48 @@ class TestJointDoor:
     """Joints refuse what cannot be joined."""
 
     def test_a_body_instead_of_a_frame(self):
-        with pytest.raises(InputError, match=r"Spherical got .*; allowed: frames"):
+        with refused("frames"):
             mbd.Spherical(box("a"), box("b").at())
 
     def test_a_frame_with_its_own_body(self):
         a = box("a")
-        with pytest.raises(InputError, match=r"Spherical joins a.at.*allowed: frames on two different bodies"):
+        with refused("frames"):
             mbd.Spherical(a.at(), a.at(0.1, 0.0, 0.0))
 
     def test_two_frames_on_the_ground(self):
-        with pytest.raises(InputError, match="two different bodies"):
+        with refused("frames"):
             mbd.Spherical(mbd.Ground().at(), mbd.Ground().at(0.1, 0.0, 0.0))
 
     @pytest.mark.parametrize("kind", [mbd.Revolute, mbd.Prismatic, mbd.Cylindrical])
     @pytest.mark.parametrize("axis", ["w", "X", "", "xy", 2, None])
     def test_axis(self, kind, axis):
-        with pytest.raises(InputError, match=r"axis is .*; allowed: 'x', 'y', 'z'"):
+        with refused("axis"):
             kind(box("a").at(), box("b").at(), axis=axis)
 
     @pytest.mark.parametrize("axes", ["x", "xx", "xyz", "xw", ("x", "y")])
     def test_axes_of_a_universal_joint(self, axes):
-        with pytest.raises(InputError, match=r"(axes of 'universal_a_b'|axis) is .*; allowed"):
+        with pytest.raises(InputError, match=r"(universal_a_b.axes|axis) is .*; allowed"):
             mbd.Universal(box("a").at(), box("b").at(), axes=axes)
 
     @pytest.mark.parametrize("length", [0.0, -1.0, math.nan, math.inf])
     def test_length(self, length):
-        with pytest.raises(InputError, match=r"length of 'distance_a_b' is .* m; allowed: a positive"):
+        with refused("distance_a_b.length"):
             mbd.Distance(box("a").at(), box("b").at(), length=length)
 
     @pytest.mark.parametrize(
         "given", [{}, {"speed": 1.0, "angle": torch.sin}, {"speed": math.nan}, {"speed": math.inf}]
     )
     def test_drive(self, given):
-        with pytest.raises(InputError, match=r"'drive_a_b' (has|is nan|is inf).*; allowed"):
+        with pytest.raises(InputError, match=r"drive_a_b.* (has|is nan|is inf).*; allowed"):
             mbd.Drive(box("a"), box("b"), **given)
 
     @pytest.mark.parametrize("law", [0.3, lambda t: 0.3, lambda t: t.expand(1), lambda t: t / 0])
     def test_law_of_a_drive(self, law):
-        with pytest.raises(
-            InputError, match=r"angle of 'drive_a_b' gives .* at t = 0; allowed: a torch function of time"
-        ):
+        with refused("drive_a_b.angle"):
             mbd.Drive(box("a"), box("b"), angle=law)
 
     def test_drive_between_numbers(self):
-        with pytest.raises(InputError, match="joint got 3; allowed: a body or a frame"):
+        with refused("frame", 3):
             mbd.Drive(3, box("b"), speed=1.0)
 
 
@@ -236,23 +232,23 @@ def test_what_a_system_is_not_made_of():
     """No traceback from the depth of torch: the argument, its value, what is allowed."""
     hub = box("hub")
     joint, spring = mbd.Revolute(mbd.Ground().at(), hub.at()), mbd.SpringDamper(mbd.Ground().at(), hub.at(), 1.0)
-    for make, words in (
-        (lambda: mbd.System(hub), "bodies is RigidBody"),  # pyright: ignore
-        (lambda: mbd.System([mbd.Ground()]), "bodies has .*Ground"),
-        (lambda: mbd.System([hub], joint), "joints is Revolute"),  # pyright: ignore
-        (lambda: mbd.System([hub], [spring]), "joints has SpringDamper"),  # pyright: ignore
-        (lambda: mbd.System([hub], [joint], [joint]), "forces has Revolute"),  # pyright: ignore
-        (lambda: mbd.System([hub], free="hub"), "free is 'hub'"),
-        (lambda: mbd.simulate(hub, 1.0), "system is RigidBody"),  # pyright: ignore
-        (lambda: box("lost", position=torch.zeros(3, requires_grad=True)), "position of 'lost' carries a gradient"),
+    for make, path in (
+        (lambda: mbd.System(hub), "bodies"),  # pyright: ignore
+        (lambda: mbd.System([mbd.Ground()]), "bodies"),
+        (lambda: mbd.System([hub], joint), "joints"),  # pyright: ignore
+        (lambda: mbd.System([hub], [spring]), "joints"),  # pyright: ignore
+        (lambda: mbd.System([hub], [joint], [joint]), "forces"),  # pyright: ignore
+        (lambda: mbd.System([hub], free="hub"), "free"),
+        (lambda: mbd.simulate(hub, 1.0), "system"),  # pyright: ignore
+        (lambda: box("lost", position=torch.zeros(3, requires_grad=True)), "lost.position"),
         (
             lambda: mbd.FlexibleBody.plate("p", mbd.mesh.rectangle(1.0, 1.0, (1, 1)), None),
-            "laminate of a plate is None",
+            "laminate",
         ),
-        (lambda: mbd.Revolute(mbd.Ground().at(), hub.at(), name=3), "name of a Revolute is 3"),  # pyright: ignore
-        (lambda: mbd.Drive(mbd.Ground(), hub, angle=lambda: 0.0), "angle of .* gives TypeError"),  # pyright: ignore
+        (lambda: mbd.Revolute(mbd.Ground().at(), hub.at(), name=3), "name"),  # pyright: ignore
+        (lambda: mbd.Drive(mbd.Ground(), hub, angle=lambda: 0.0), "drive_ground_hub.angle"),  # pyright: ignore
     ):
-        with pytest.raises(InputError, match=f"{words}.*; allowed: "):
+        with refused(path):
             make()
 
 
@@ -260,14 +256,14 @@ def test_designs_that_are_none():
     rod = plate("rod", 1)
     system, name = mbd.System([rod]), "rod.laminate.angles"
     good = rod.laminate.angles.detach()[None]
-    for designs, words in (
-        ([good], "designs is "),
-        ({name: good.tolist()}, f"design '{name}' is "),
-        ({name: good.float()}, f"design '{name}' has shape .* of torch.float32"),
-        ({name: good[:0]}, f"design '{name}' has shape"),
-        ({name: torch.cat([good, good * torch.nan])}, f"design '{name}' of lane 1 is"),
+    for designs, path in (
+        ([good], "designs"),
+        ({name: good.tolist()}, f"designs.{name}"),
+        ({name: good.float()}, f"designs.{name}"),
+        ({name: good[:0]}, f"designs.{name}"),
+        ({name: torch.cat([good, good * torch.nan])}, name),
     ):
-        with pytest.raises(InputError, match=f"{words}.*; allowed: "):
+        with refused(path):
             mbd.simulate(system, 0.01, steps=1, designs=designs)  # pyright: ignore
 
 
@@ -288,7 +284,7 @@ def test_a_kind_without_the_base_class_is_refused_by_its_name():
             yield Applied(_Nameless, (attachments.point(self.frames[0]),), None)
 
     ground = mbd.Ground().at()
-    with pytest.raises(mbd.InputError, match=r"'odd' has the kind '_Nameless'.*allowed: Coincide.*another Primitive"):
+    with refused("odd"):
         mbd.System([body], [Odd(ground, body.at(), name="odd")])
-    with pytest.raises(mbd.InputError, match=r"'pull' has the kind '_Nameless'.*allowed: Length.*another Action"):
+    with refused("pull"):
         mbd.System([body], forces=[Pull((body.at(),), name="pull")], free=["arm"])

@@ -123,13 +123,13 @@ def test_limit_of_analyses_and_interruption_at_the_last_gradient():
 
 
 def test_what_it_refuses():
-    with pytest.raises(InputError, match="bounds are infinite"):
+    with refused("bounds"):
         optimize(rastrigin(upper=[np.inf, 5]), METHOD)
     with refused("population", 1):
         optimize(rastrigin(), METHOD, population=1)
     problem = rastrigin()
     problem.equalities = [0]
-    with pytest.raises(InputError, match="equalities"):
+    with refused("method"):
         optimize(problem, METHOD)
 
 

@@ -327,7 +327,7 @@ def test_sobol_points_of_a_longer_sequence_begin_alike():
 
 
 def test_starts_need_finite_bounds():
-    with pytest.raises(InputError, match=r"bounds of x2 are \[-3, inf\]"):
+    with refused("bounds.x2"):
         multistart(waves(upper=[4.0, np.inf]), "mmfd", sobol(4, seed=1))
 
 
@@ -347,9 +347,9 @@ def test_the_best_is_feasible_by_the_tolerance_that_was_given():
 
 
 def test_given_starts_are_checked():
-    with pytest.raises(InputError, match="start of x1 = 9"):
+    with refused("start.x1"):
         multistart(waves(), "mmfd", [[0.0, 0.0], [9.0, 0.0]])
-    with pytest.raises(InputError, match="points"):
+    with refused("points"):
         starts_at([])
     with refused("max_lanes", 0):
         multistart(waves(), "mmfd", sobol(4, seed=1), max_lanes=0)
@@ -363,15 +363,15 @@ def test_default_is_the_problems_own_start():
 
 
 @pytest.mark.parametrize(
-    ("starts", "words"),
+    ("starts", "path"),
     [
-        (3, r"starts is 3; allowed: mbd.sobol\(...\)"),
-        ([[0.0, 0.0], [1.0]], "points: must be a list of start designs, all with one value per variable"),
-        (["a", "b"], "points is 'a'; allowed: numbers"),
+        (3, "starts"),
+        ([[0.0, 0.0], [1.0]], "points"),
+        (["a", "b"], "points"),
     ],
 )
-def test_starts_that_are_none_are_named(starts, words):
-    with pytest.raises(InputError, match=words):
+def test_starts_that_are_none_are_named(starts, path):
+    with refused(path):
         multistart(waves(), starts=starts)
     with refused("seed", "x"):
         sobol(2, seed="x")  # pyright: ignore[reportArgumentType]

@@ -58,7 +58,10 @@ def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
         phase_laws = [law for kind in kinds for law in kind.laws]
         if any(x is not y for x, y in zip(phase_laws, laws, strict=True)):
             raise InputError(
-                f"loads on {body.name!r}: phases of this motion have laws of forces of their own; allowed: none"
+                "phases",
+                allowed="none",
+                state="have laws of forces of their own",
+                noun=f"loads on {body.name!r}: phases of this motion",
             )
     return BodyLoads(_inertia(motion, body), _concentrated(motion, body))
 

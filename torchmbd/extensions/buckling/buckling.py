@@ -96,7 +96,6 @@ class BucklingCase:
                 (body.name, "loads"),
                 loads,
                 "at least one force, or an imposed displacement",
-                noun=f"loads of {body.name!r}",
                 state="are zero",
             )
         self._static = StaticLoads(supported.pattern)

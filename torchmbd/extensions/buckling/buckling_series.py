@@ -51,7 +51,13 @@ class BucklingSeries:
     def __init__(self, body: FlexibleBody, supports: Supports | None = None) -> None:
         self.supported = SupportedBody(body, supports)
         if bool(self.supported.imposed.any()):
-            raise InputError(f"supports of {body.name!r} are displaced; allowed along a motion: supports at rest")
+            raise InputError(
+                "supports",
+                supports,
+                rule="are displaced; allowed along a motion: supports at rest",
+                shown="",
+                noun=f"supports of {body.name!r}",
+            )
         self._static = StaticLoads(self.supported.pattern)
 
     def __call__(

@@ -30,13 +30,15 @@ class NodalLoads:
 
     def __init__(self, mesh: Mesh | BeamLine, name: str, loads: Loads) -> None:
         if not isinstance(loads, Mapping):
-            raise InputError((name, "loads"), loads, "nodes -> force, or force and moment", noun=f"loads of {name!r}")
+            raise InputError((name, "loads"), loads, "nodes -> force, or force and moment")
         self.mesh, self.any = mesh, False
         self._loads: list[tuple[list[int], Tensor]] = []
         for where, load in loads.items():
             total = reals(f"load {where!r} of {name!r}", load)
             if total.shape not in ((3,), (6,)) or not bool(torch.isfinite(total).all()):
-                raise InputError(f"load {where!r} of {name!r} is {load!r}; allowed: 3 or 6 finite numbers")
+                raise InputError(
+                    (name, "loads", str(where)), load, "3 or 6 finite numbers", noun=f"load {where!r} of {name!r}"
+                )
             nodes = node_indices(mesh, list(where) if isinstance(where, tuple) else where)
             self._loads.append((list(nodes), total))
             self.any = self.any or bool(total.any())

@@ -173,7 +173,11 @@ class FatigueDamage(Measure):
         plies = plies_of(system.body(self.body))
         if self.curves is None and any(ply.strength is None for ply in plies):
             raise InputError(
-                f"a ply of body {self.body!r} has no strength; allowed: Ply(..., strength=Strength(...)), or curves"
+                "body",
+                self.body,
+                "Ply(..., strength=Strength(...)), or curves",
+                state="has no strength",
+                noun=f"a ply of body {self.body!r}",
             )
 
     def value(self, motion: Trajectory) -> Tensor:

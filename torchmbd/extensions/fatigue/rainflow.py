@@ -42,7 +42,9 @@ def rainflow(y: Any) -> Cycles:
         y = reals("y", y)
     y = y if y.is_floating_point() else y.double()
     if y.dim() < 1 or y.shape[-1] < 2:
-        raise InputError(f"a history has the shape {tuple(y.shape)}; allowed: [..., n] with two values at least")
+        raise InputError(
+            "y", allowed="[..., n] with two values at least", state=f"has the shape {tuple(y.shape)}", noun="a history"
+        )
     first, second, count = _Pairs.apply(y)  # pyright: ignore[reportGeneralTypeIssues]
     # The cycles of the finite values alone would look like a result.
     y = torch.where(y.isfinite().all(-1, keepdim=True), y, torch.nan)

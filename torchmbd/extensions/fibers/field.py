@@ -108,11 +108,19 @@ class FiberField:
     def zones(self, mesh: Mesh, cells: Int[Tensor, " cells"]) -> Int[Tensor, " cells"]:
         """Row of the field for each cell of a plate. Raises InputError if the field belongs to other cells."""
         if mesh is not self.mesh:
-            raise InputError(f"field of a laminate is for {self.mesh!r}; allowed: the mesh of the body, {mesh!r}")
+            raise InputError(
+                "field",
+                allowed=f"the mesh of the body, {mesh!r}",
+                state=f"is for {self.mesh!r}",
+                noun="field of a laminate",
+            )
         row = torch.full((mesh.cell_count,), -1).index_copy(0, self.cells, torch.arange(len(self.cells)))[cells]
         if len(cells) != len(self.cells) or bool((row < 0).any()):
             raise InputError(
-                f"field of a laminate is for {len(self.cells)} cells; allowed: the {len(cells)} that it lies on"
+                "field",
+                allowed=f"the {len(cells)} that it lies on",
+                state=f"is for {len(self.cells)} cells",
+                noun="field of a laminate",
             )
         return row
 
@@ -120,7 +128,7 @@ class FiberField:
 def _cells(mesh: Mesh, cells: Sequence[int] | Tensor | None) -> Tensor:
     if cells is None:
         return torch.arange(mesh.cell_count)
-    numbers = indices("cells of a FiberField", cells)
+    numbers = indices(("FiberField", "cells"), cells)
     if numbers.ndim != 1 or not len(numbers) or int(numbers.min()) < 0 or int(numbers.max()) >= mesh.cell_count:
         raise InputError("cells", cells, f"numbers of cells, 0 to {mesh.cell_count - 1}", noun="cells of a FiberField")
     if len(numbers.unique()) < len(numbers):
@@ -181,10 +189,12 @@ def _points(controls: object, places: Tensor) -> Tensor:
         if controls != "cells":
             raise InputError("controls", controls, "'cells', or places [k, 3]", noun="controls of a FiberField")
         return places
-    points = reals("controls of a FiberField", controls)  # pyright: ignore[reportArgumentType]
+    points = reals(("FiberField", "controls"), controls)  # pyright: ignore[reportArgumentType]
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not points.isfinite().all():
         raise InputError(
-            f"controls of a FiberField has shape {tuple(points.shape)}; allowed with a radius: places [k, 3], or 'cells'"
+            "controls",
+            rule=f"has shape {tuple(points.shape)}; allowed with a radius: places [k, 3], or 'cells'",
+            noun="controls of a FiberField",
         )
     return points
 
@@ -203,7 +213,11 @@ def _basis(x: np.ndarray, count: int, degree: int) -> tuple[np.ndarray, np.ndarr
         return np.ones((len(x), 1)), np.zeros((len(x), 1))
     if not high > low:
         raise InputError(
-            f"controls of a FiberField has {count} along an axis where the cells have no extent; allowed: 1"
+            "controls",
+            count,
+            "1",
+            state=f"has {count} along an axis where the cells have no extent",
+            noun="controls of a FiberField",
         )
     ends = [np.full(degree, low), np.linspace(low, high, count - degree + 1), np.full(degree, high)]
     basis = BSpline(np.concatenate(ends), np.eye(count), degree)

@@ -100,7 +100,13 @@ def steered_parts(system: System, name: str) -> list[Any]:
     body = system.body(name)
     parts = [part for part in getattr(body, "plates", {}).values() if isinstance(part.laminate, SteeredLaminate)]
     if not parts:
-        raise InputError(f"body {name!r} has no steered laminate; allowed here: a plate of mbd.SteeredLaminate(...)")
+        raise InputError(
+            "body",
+            name,
+            rule="has no steered laminate; allowed here: a plate of mbd.SteeredLaminate(...)",
+            shown="",
+            noun=f"body {name!r}",
+        )
     return parts
 
 

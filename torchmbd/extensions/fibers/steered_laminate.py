@@ -86,8 +86,8 @@ class SteeredLaminate(Laminate):
                 state="is a Parameter without an axis of controls",
             )
         theta, t = (
-            parameter("angles of a SteeredLaminate", angles),
-            parameter("thickness of a SteeredLaminate", thickness),
+            parameter(("SteeredLaminate", "angles"), angles),
+            parameter(("SteeredLaminate", "thickness"), thickness),
         )
         varies = t.ndim == 2
         super().__init__(
@@ -157,6 +157,9 @@ def _row(name: str, value: Tensor, field: FiberField) -> Tensor:
         return value.detach()
     if value.ndim != 2 or len(value) != field.controls:
         raise InputError(
-            f"SteeredLaminate: {name} has shape {tuple(value.shape)}; allowed: [layers], or [{field.controls} controls, layers]"
+            name,
+            allowed=f"[layers], or [{field.controls} controls, layers]",
+            state=f"has shape {tuple(value.shape)}",
+            noun=f"SteeredLaminate: {name}",
         )
     return value.detach()[0]

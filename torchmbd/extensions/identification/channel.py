@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from torchmbd.design.response import History
 from torchmbd.design.words import heading, unit
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 from torchmbd.extensions.identification.table import Table, checked_unit
 from torchmbd.math.checked_numbers import positive, scalar
 from torchmbd.math.gradients import is_variable
@@ -70,9 +70,9 @@ class Channel:
         for name in SENSOR:
             x = getattr(self, name)
             if not is_variable(x):
-                scalar(f"{name} of Channel", x, "a finite number, or mbd.variable(...) of one")
+                scalar(("Channel", name), x, "a finite number, or mbd.variable(...) of one")
         if self.deviation is not None:
-            object.__setattr__(self, "deviation", checked_deviation("deviation of Channel", self.deviation))
+            object.__setattr__(self, "deviation", checked_deviation(("Channel", "deviation"), self.deviation))
 
     @property
     def unknowns(self) -> dict[str, nn.Parameter]:
@@ -108,7 +108,7 @@ def channels_of(channels: Any) -> dict[str, Channel]:
     return result
 
 
-def checked_deviation(what: str, deviation: Any) -> float | np.ndarray:
+def checked_deviation(what: str | Path, deviation: Any) -> float | np.ndarray:
     """A positive standard deviation, or one for each row; InputError for other values."""
     if np.ndim(deviation) == 0:
         return positive(what, deviation, "")

@@ -106,8 +106,10 @@ class FitProblem:
         searched = [name for name, low, high in zip(self.names, self.lower, self.upper, strict=True) if low < high]
         if count < len(searched):
             raise InputError(
-                f"{len(searched)} unknowns ({', '.join(searched)}) and {count} measured numbers and priors; "
-                "allowed: at most as many unknowns as numbers"
+                "unknowns",
+                searched,
+                "at most as many unknowns as numbers",
+                state=f"are {len(searched)} ({', '.join(searched)}), beside {count} measured numbers and priors",
             )
 
     def _within(
@@ -340,8 +342,11 @@ class FitProblem:
                 for key, parameter in measurement.unknowns.items():
                     if id(parameter) not in known:
                         raise InputError(
-                            f"{key!r} of the validation {name!r} is an unknown that no experiment has; allowed: a number, "
-                            "or the mbd.variable(...) of a channel of an experiment"
+                            ("validation", name),
+                            key,
+                            "a number, or the mbd.variable(...) of a channel of an experiment",
+                            state="is an unknown that no experiment has",
+                            noun=f"{key!r} of the validation {name!r}",
                         )
                     names[name][key] = known[id(parameter)]
         result._names = names

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
-from torchmbd.errors import InputError, one_of
+from torchmbd.errors import InputError, one_of, wrong_entry
 from torchmbd.extensions.identification.channel import checked_deviation
 from torchmbd.extensions.identification.measurement import Block, Measurement, Prediction
 from torchmbd.extensions.identification.modal_data import check_options
@@ -93,7 +93,7 @@ class FrequencyResponseData(Measurement):
                     shown=f"{text}",
                 )
             if direction is not None:
-                one_of(f"direction of output {name!r}", direction, "xyz")
+                one_of((name, "direction"), direction, "xyz")
             self.rows.append(first + ("xyz".index(direction) if direction else 0))
             first += signal.size
         self.f, measured = _table(data, frequency, list(outputs), self.form)
@@ -112,7 +112,7 @@ class FrequencyResponseData(Measurement):
         if not isinstance(deviation, Mapping):
             raise InputError("deviation", deviation, "name of an output -> a number, or one for each row")
         for name, x in deviation.items():
-            one_of("deviation of output", name, self.outputs)
+            one_of("deviation", name, self.outputs)
             values = checked_deviation(f"deviation of output {name!r}", x)
             if isinstance(values, np.ndarray) and len(values) != len(self.f):
                 raise InputError(
@@ -178,7 +178,13 @@ def _table(data: Any, frequency: str, names: list[str], form: str) -> tuple[np.n
     f = _in_unit(table, frequency, "Hz")
     if not (np.isfinite(f).all() and (f > 0.0).all() and (np.diff(f) > 0.0).all()):
         wrong = int(np.flatnonzero(~(np.isfinite(f) & (f > 0.0) & (np.diff(f, prepend=-1.0) > 0.0)))[0])
-        raise InputError(f"{table.row(wrong)}: frequency is {f[wrong]:g} Hz; allowed: positive numbers in rising order")
+        raise InputError(
+            "frequency",
+            float(f[wrong]),
+            "positive numbers in rising order",
+            state=f"is {f[wrong]:g} Hz",
+            noun=f"{table.row(wrong)}: frequency",
+        )
     result = {}
     for name, (first, second) in columns.items():
         x = table.factor(first, None)[0] * table.columns[first]
@@ -186,9 +192,7 @@ def _table(data: Any, frequency: str, names: list[str], form: str) -> tuple[np.n
             result[name] = x + 1j * table.factor(second, None)[0] * table.columns[second]
             continue
         if (x <= 0.0).any():
-            raise InputError(
-                f"{table.row(int(np.flatnonzero(x <= 0.0)[0]))}: {first} is not positive; allowed: above 0"
-            )
+            raise wrong_entry(table.row(int(np.flatnonzero(x <= 0.0)[0])), f"{first} is not positive", "above 0")
         result[name] = x * np.exp(1j * _in_unit(table, second, "rad"))
     return f, result
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError
 from torchmbd.extensions.identification.channel_fit import ChannelFit, agreement, channel_fits
 from torchmbd.extensions.identification.deviations import NO_FREEDOM, leverages
 from torchmbd.extensions.identification.fit_problem import FitProblem, Residuals, Rows
@@ -127,7 +127,7 @@ class Identification(Summary):
         for label in (name, f"{name}[0]"):
             if label in self.names:
                 return self.names.index(label)
-        raise InputError(f"unknown {name!r} does not exist{nearest(name, self.names)}")
+        raise InputError("name", name, self.names, noun="unknown")
 
     @cached_property
     def _jacobian(self) -> np.ndarray:

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.histories import Displacement, Position, Velocity
-from torchmbd.errors import DesignFailure, InputError, nearest
+from torchmbd.errors import DesignFailure, InputError
 from torchmbd.extensions.identification.measurement import Block, Limits, Measurement, Prediction
 from torchmbd.extensions.identification.run import Run
 from torchmbd.extensions.vibrations.eigenvalues import NATURAL, POLES
@@ -56,9 +56,7 @@ class Pairing:
 def check_options(measurement: Measurement, options: Mapping[str, Any]) -> None:
     """InputError for options of `equilibrium` that a measurement about one does not have."""
     if wrong := [name for name in options if name not in OPTIONS]:
-        raise InputError(
-            f"option {wrong[0]!r} of {type(measurement).__name__} does not exist{nearest(wrong[0], OPTIONS)}"
-        )
+        raise InputError(("options", wrong[0]), wrong[0], OPTIONS, noun=f"option of {type(measurement).__name__}")
 
 
 class ModalData(Measurement):
@@ -163,7 +161,12 @@ class ModalData(Measurement):
         if len(kept) == len(mac):
             return self
         if not kept:
-            raise InputError(f"no measured mode has a partner in the model: the largest MAC is {mac.max():.2g}")
+            raise InputError(
+                "frequencies",
+                allowed="shapes that a mode of the model has",
+                noun="measured modes",
+                state=f"have no partner in the model: the largest MAC is {mac.max():.2g}",
+            )
         result = object.__new__(type(self))
         vars(result).update(vars(self))
         names = [
@@ -212,7 +215,13 @@ class ModalData(Measurement):
             )
         modes = self._elastic(rest, lane)
         if max(self.numbers) > len(modes):
-            raise InputError(f"mode {max(self.numbers)} is measured, and the model has {len(modes)} vibrations")
+            raise InputError(
+                "numbers",
+                max(self.numbers),
+                rule=f"is measured, and the model has {len(modes)} vibrations",
+                shown="",
+                noun=f"mode {max(self.numbers)}",
+            )
         return Pairing([modes[k - 1] for k in self.numbers], [math.nan] * len(self.numbers))
 
     def _elastic(self, rest: Equilibrium, lane: int) -> list[int]:
@@ -227,7 +236,11 @@ class ModalData(Measurement):
         """MAC [measured, vibrations that are not rigid motions]."""
         modes = self._elastic(rest, lane)
         if len(modes) < len(self.frequencies):
-            raise InputError(f"{len(self.frequencies)} modes are measured, and the model has {len(modes)} vibrations")
+            raise InputError(
+                "frequencies",
+                rule=f"are measured, and the model has {len(modes)} vibrations",
+                noun=f"{len(self.frequencies)} modes",
+            )
         shapes = rest.vibrations[lane].shapes[:, modes].T  # at each "time" the rates of one mode
         q = rest.q[lane, -1].detach().expand(len(modes), -1)
         lam = rest.lam[lane, -1].detach().expand(len(modes), -1)

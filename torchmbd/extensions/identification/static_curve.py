@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.histories import Displacement
 from torchmbd.design.response import Combined, History
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError, nearest, within
 from torchmbd.extensions.identification.channel import Channel, channels_of
 from torchmbd.extensions.identification.measurement import Block, Measurement, Prediction, number_of
 from torchmbd.extensions.identification.run import Run
@@ -68,7 +68,7 @@ class StaticCurve(Measurement):
             try:
                 channel.response.check(system)
             except InputError as error:
-                raise InputError(("channels", name), rule=f": {error}", noun=f"channel {name!r}") from None
+                raise within(f"channel {name!r}", error, "channels", name) from None
 
     @property
     def blocks(self) -> list[Block]:

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.errors import InputError, nearest, unknown, wrong_entry
 from torchmbd.errors import Path as Keys
 from torchmbd.math.units import UNITS
 
@@ -124,7 +124,7 @@ def _read(file: Path, names: Sequence[str]) -> Table:
         raise InputError("data", str(file), "a CSV file", shown=f"{str(file)!r}: {error}") from error
     headings = _headings(texts)
     if len(headings) < len(texts):
-        raise InputError(f"{file}, line 1: headings are {texts}; allowed: each name once")
+        raise InputError("headings", texts, "each name once", state=f"are {texts}", noun=f"{file}, line 1: headings")
     for name in names:
         if name not in headings:
             raise unknown(f"{file}: column", name, headings, ("columns", name))
@@ -170,7 +170,7 @@ def _fault(file: Path, separator: str, texts: Sequence[str], places: Sequence[in
         for row in rows:
             if row and len(row) != len(texts):
                 more = " (an empty field is a gap)" if len(row) < len(texts) else ""
-                return InputError(f"{file}, line {rows.line_num}: has {len(row)} fields; allowed: {len(texts)}{more}")
+                return wrong_entry(f"{file}, line {rows.line_num}", f"has {len(row)} fields", f"{len(texts)}{more}")
             for place in places:
                 if row and not _is_number(row[place].strip()):
                     name = list(_headings(texts))[place]

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.design.curve import curve_of
 from torchmbd.design.spline import Spline
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, within
 from torchmbd.extensions.identification.channel import SENSOR, Channel, channels_of
 from torchmbd.extensions.identification.measurement import Block, Limits, Measurement, Prediction, number_of
 from torchmbd.extensions.identification.run import Run
@@ -68,7 +68,7 @@ class TimeSeries(Measurement):
             try:
                 channel.response.check(system)
             except InputError as error:
-                raise InputError(("channels", name), rule=f": {error}", noun=f"channel {name!r}") from None
+                raise within(f"channel {name!r}", error, "channels", name) from None
 
     @property
     def blocks(self) -> list[Block]:

@@ -71,7 +71,9 @@ def run_identification(
 ) -> int:
     """Fit the model and track it; return the exit code. Arguments as in run.run_study."""
     if workers != 1 or scheduler is not None:
-        raise InputError("workers and scheduler: a fit is one process; allowed: torchmbd run without them")
+        raise InputError(
+            "workers", allowed="torchmbd run without them", state="is one process", noun="workers and scheduler: a fit"
+        )
     origin, where = (plan.source.path, plan.source.overrides), (plan.data.tracking.experiment, uri or plan.uri)
     key = partial(identification_key, plan)
     with ExitStack() as stack:

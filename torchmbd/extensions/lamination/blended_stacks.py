@@ -178,9 +178,9 @@ def _check(
         if not isinstance(by_name, Mapping) or set(by_name) != set(laminates):
             raise InputError(argument, by_name, f"a value for each of {', '.join(laminates)}")
     for name, laminate in laminates.items():
-        check_target(f"laminate of {name!r}", laminate, plies[name])
+        check_target((name, "laminate"), laminate, plies[name])
         if not is_real(weight_of_zone[name]) or not 0.0 < weight_of_zone[name] < math.inf:
-            raise InputError((name, "area"), weight_of_zone[name], "a number > 0", noun=f"area of {name!r}")
+            raise InputError((name, "area"), weight_of_zone[name], "a number > 0")
     check_search(rules, weights, seed)
     first, *others = (without_variables(laminate.ply) for laminate in laminates.values())
     if any(ply != first for ply in others):
@@ -196,5 +196,10 @@ def _check(
             "laminates", laminates, "all with, or all without", state="has zones with coupling and zones without"
         )
     if symmetric == {True} and len({n % 2 for n in plies.values()}) > 1:
-        raise InputError(f"plies is {dict(plies)!r}; allowed for symmetric stacks: all even, or all odd")
+        raise InputError(
+            "plies",
+            dict(plies),
+            rule=f"is {dict(plies)!r}; allowed for symmetric stacks: all even, or all odd",
+            shown="",
+        )
     return symmetric.pop(), dict(weight_of_zone)

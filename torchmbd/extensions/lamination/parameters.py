@@ -99,7 +99,7 @@ class LaminationParameters(Laminate):
                 noun="LaminationParameters: shear_correction",
                 state=f"= {shear_correction!r}",
             )
-        checked = true_or_false("checked of LaminationParameters", checked)
+        checked = true_or_false(("LaminationParameters", "checked"), checked)
         self.ply, self.field, self.shear_correction = ply, field, float(shear_correction)
         self.membrane = _four("membrane", membrane, field)
         self.bending = None if bending is None else _four("bending", bending, field)
@@ -232,7 +232,7 @@ class LaminationParameters(Laminate):
 
 
 def _four(name: str, values: Sequence | Tensor, field: FiberField | None) -> nn.Parameter:
-    x = parameter(f"{name} of LaminationParameters", values)
+    x = parameter(("LaminationParameters", name), values)
     if field is not None and x.shape == (4,) and not isinstance(values, nn.Parameter):
         x = nn.Parameter(x.detach().expand(field.controls, 4).clone())
     shape = (4,) if field is None else (field.controls, 4)
@@ -243,7 +243,7 @@ def _four(name: str, values: Sequence | Tensor, field: FiberField | None) -> nn.
 
 
 def _thickness(thickness: float | Tensor, field: FiberField | None) -> nn.Parameter:
-    h = parameter("thickness of LaminationParameters", thickness)
+    h = parameter(("LaminationParameters", "thickness"), thickness)
     if h is not thickness and h.ndim == 0:
         h = nn.Parameter(h.detach(), requires_grad=False)
     if h.ndim and (field is None or h.shape != (field.controls,)):

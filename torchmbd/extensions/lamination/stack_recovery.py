@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 from torchmbd.extensions.lamination.conditions import directions
 from torchmbd.extensions.lamination.parameters import LaminationParameters
 from torchmbd.extensions.lamination.rules import LaminationRules
@@ -217,7 +217,7 @@ def checked_angles(angles: Sequence[float]) -> torch.Tensor:
     return allowed
 
 
-def check_target(name: str, laminate: object, plies: Any) -> None:
+def check_target(name: str | Path, laminate: object, plies: Any) -> None:
     """InputError unless `laminate` has the parameters of one control, and `plies` is a number of plies."""
     if not isinstance(laminate, LaminationParameters):
         raise InputError(name, laminate, "LaminationParameters(...)")

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, wrong_entry
 
 NESTED = 100  # files that include one another in a chain
 #: Keywords that change nothing of the mesh; sections and materials are given to read_mesh as laminates.
@@ -84,7 +84,7 @@ class AbaqusFile:
         path, has_nodes, instances = path.resolve(), False, 0
         if path in opened or len(opened) > NESTED:
             chain = f"*INCLUDE in a circle, or a chain of more than {NESTED} files"
-            raise InputError(f"{path.name}: {chain}; allowed: neither")
+            raise wrong_entry(path.name, f"{chain}", "neither")
         with path.open(encoding="utf-8", errors="replace") as file:
             instance = ""
             for number, line in enumerate(file, start=1):
@@ -104,9 +104,11 @@ class AbaqusFile:
                 if keyword == "STEP":
                     return has_nodes
                 if keyword not in _KNOWN or instances > 1:
-                    raise InputError(
-                        f"{where}: *{keyword} is not read, and without it the structure may be another; allowed: nodes and "
-                        "elements one by one, at most one instance, sets, sections, materials, *BOUNDARY, steps (left out)"
+                    raise wrong_entry(
+                        where,
+                        f"*{keyword} is not read, and without it the structure may be another",
+                        "nodes and elements one by one, at most one instance, sets, sections, materials, *BOUNDARY, steps "
+                        "(left out)",
                     )
                 self._note(keyword, line, where)
                 if keyword == "INCLUDE":
@@ -125,7 +127,7 @@ class AbaqusFile:
         options = {key.strip().upper(): value.strip() for key, _, value in words}
         for option in options.keys() - _OPTIONS.get(keyword, options.keys()) - {""}:
             allowed = ", ".join(sorted(_OPTIONS[keyword]))
-            raise InputError(f"{where}: *{keyword}, {option} is not read; allowed: {allowed}")
+            raise wrong_entry(where, f"*{keyword}, {option} is not read", allowed)
         if keyword == "ELEMENT":
             self.elsets.append(options.get("ELSET", ""))
             self.trusses += options.get("TYPE", "").upper() in _EDGES
@@ -141,4 +143,4 @@ def _included(path: Path, line: str, where: str) -> Path:
     for file in (Path(name), path.parent / name):
         if name and file.is_file():
             return file
-    raise InputError(f"{where}: *INCLUDE of {name!r}; allowed: a file that exists")
+    raise wrong_entry(where, f"*INCLUDE of {name!r}", "a file that exists")

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, within
 from torchmbd.extensions.meshes.abaqus_file import AbaqusFile
 from torchmbd.extensions.meshes.nastran_file import check_counts, check_nastran, is_nastran
 from torchmbd.fem.mesh.mesh import Mesh
@@ -75,7 +75,7 @@ def mesh_file(path: str | Path, scale: float | str = 1.0) -> MeshFile:
             abaqus.correct_zones(source)
         return mesh_of(source, scale)
     except InputError as error:
-        raise InputError(f"{path.name}: {error}") from None
+        raise within(path.name, error) from None
 
 
 @constant_arguments
@@ -94,11 +94,11 @@ def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
             numbers = torch.arange(len(data))
             owner[cells.type].append(torch.stack([torch.full_like(numbers, block), numbers], dim=1))
         elif cells.type not in _POINTS_AND_CURVES:
-            raise InputError(f"the mesh has elements {cells.type!r}; allowed: triangle, quad")
+            raise InputError("elements", cells.type, "triangle, quad", noun="element of the mesh")
     corners = {kind: torch.cat(parts) for kind, parts in kinds.items()}
     used = torch.unique(torch.cat([nodes.flatten() for nodes in corners.values()]))
     if not len(used):
-        raise InputError("the mesh has no triangles or quadrilaterals")
+        raise InputError("elements", rule="must be triangles or quadrilaterals; the mesh has none")
     if int(used[0]) < 0 or int(used[-1]) >= len(points):
         raise InputError(
             "cells",

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, wrong_entry
 from torchmbd.extensions.nastran.data import Bar, BulkData
 from torchmbd.fem.elements import Combination, Follower, RigidLink
 
@@ -96,7 +96,7 @@ def _vector(data: BulkData, bar: Bar) -> np.ndarray:
     if card.text(5).isdigit():
         grid = card.integer(5, "G0")
         if grid not in data.grids:
-            raise InputError(f"{card}: GRID {grid} does not exist")
+            raise InputError((str(card), "G0"), grid, "a GRID that exists")
         return np.array(data.grids[grid]) - np.array(data.grids[bar.grids[0]])
     x = np.array([card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)])
     return x if _offset_flags(bar)[0] == "B" else x @ data.displacement_axes(bar.grids[0])
@@ -119,9 +119,11 @@ def _axes(bar: Bar, ends: list[np.ndarray], vector: np.ndarray) -> np.ndarray:
     along = ends[1] - ends[0]
     z = np.cross(along, vector)
     if _size(z) <= 1e-9 * _size(along) * _size(vector):
-        raise InputError(
-            f"{bar.card}: its ends are {ends[0].tolist()} and {ends[1].tolist()}, its vector is {vector.tolist()}; allowed: "
-            "two different places, a vector across"
+        raise wrong_entry(
+            bar.card,
+            f"its ends are {ends[0].tolist()} and {ends[1].tolist()}, its vector is {vector.tolist()}",
+            "two different places, a vector across",
+            key="X",
         )
     x, z = along / _size(along), z / _size(z)
     return np.array([x, np.cross(z, x), z])
@@ -131,7 +133,7 @@ def _pins(bar: Bar, position: int) -> tuple[int, ...]:
     """Released components 0 to 5 of an end."""
     text = bar.card.text(position)
     if not set(text) <= set("123456") or len(set(text)) < len(text):
-        raise InputError(f"{bar.card}: pins {text!r}; allowed: components 1 to 6, each once")
+        raise wrong_entry(bar.card, f"pins {text!r}", "components 1 to 6, each once", key="PA")
     return tuple(sorted(int(word) - 1 for word in text))
 
 

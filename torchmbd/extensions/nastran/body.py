@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, warn, within, wrong_entry
 from torchmbd.extensions.nastran.cards import Deck, read_deck
 from torchmbd.extensions.nastran.control import MATRICES, TEMPERATURE, Control
 from torchmbd.extensions.nastran.data import BulkData
@@ -71,7 +71,7 @@ def bulk_body(path: str | Path, units: str = "m", mass: str = "lumped", density:
         return _body(path, deck, scale, mass, density)
     except InputError as error:
         name = Path(path).name
-        raise error if name in str(error) else InputError(f"{name}: {error}") from None
+        raise error if name in str(error) else within(name, error) from None
 
 
 def _body(path: str | Path, deck: Deck, scale: Units, mass: str, density: float | None) -> BulkBody:
@@ -119,18 +119,19 @@ def _check_control(data: BulkData, control: Control | None) -> None:
             how = (
                 f"the case control ({chosen[name]}) adds" if control else "the file has no case control, which may add"
             )
-            raise InputError(
-                f"{card}: {how} it to mass or stiffness; allowed: DMIG that none of {', '.join(MATRICES)} chooses "
-                "(mbd.read_matrix reads DMIG)"
+            raise wrong_entry(
+                card,
+                f"{how} it to mass or stiffness",
+                f"DMIG that none of {', '.join(MATRICES)} chooses (mbd.read_matrix reads DMIG)",
             )
         data.ignored["DMIG that the case control does not add to mass or stiffness"] += 1
     if data.thermal and (control is None or TEMPERATURE in commands):
         how = "gives a temperature" if control else "is missing, and may give a temperature"
-        raise InputError(f"{data.thermal[0]}: the case control {how}; allowed: materials that do not depend on it")
+        raise wrong_entry(data.thermal[0], f"the case control {how}", "materials that do not depend on it")
     for card in data.thermal:
         data.ignored[card.name] += 1
     for name in chosen.keys() - data.matrices.keys():
-        raise InputError(f"{chosen[name]}: matrix {name} is chosen, and does not exist; allowed: none")
+        raise wrong_entry(chosen[name], f"matrix {name} is chosen, and does not exist", "none")
 
 
 def _masses(data: BulkData, bulk: BulkMesh, scale: Units) -> PointMasses:
@@ -138,8 +139,8 @@ def _masses(data: BulkData, bulk: BulkMesh, scale: Units) -> PointMasses:
     unit, arms = scale.mass * data.weight_to_mass, []
     for mass in data.masses:
         if any(mass.offset) and data.systems.curved(mass.system, mass.card):
-            raise InputError(
-                f"{mass.card}: CID {mass.system} is curved; allowed: a rectangular system, or X1 to X3 zero"
+            raise wrong_entry(
+                mass.card, f"CID {mass.system} is curved", "a rectangular system, or X1 to X3 zero", key="CID"
             )
         axes = data.systems.axes(mass.system, mass.card, np.array(data.grids[mass.grid]))
         arms.append((np.array(mass.offset) @ axes * scale.length).tolist())

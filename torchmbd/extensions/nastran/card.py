@@ -13,7 +13,7 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, wrong_entry
 
 _EXPONENT = re.compile(r"([0-9.])([+-][0-9]+)$")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(E[+-]?[0-9]+)?")
@@ -63,7 +63,7 @@ class Card:
         while k < len(words):
             if words[k].upper() == "THRU":
                 if not result or k + 1 >= len(words):
-                    raise InputError(f"{self}: THRU stands without its two ends")
+                    raise wrong_entry(self, "THRU stands without its two ends", key="THRU")
                 end = _integer(self, words[k + 1])
                 by, k = 1, k + 2
                 if k + 1 < len(words) and words[k].upper() == "BY":
@@ -81,5 +81,5 @@ class Card:
 
 def _integer(card: Card, word: str) -> int:
     if not _INTEGER.fullmatch(word):
-        raise InputError(f"{card}: {word!r} stands in a list of numbers; allowed: integers and THRU")
+        raise wrong_entry(card, f"{word!r} stands in a list of numbers", "integers and THRU")
     return int(word)

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, wrong_entry
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.control import Control, Lines
 from torchmbd.extensions.nastran.replication import count_of, repeated, repeats
@@ -96,7 +96,7 @@ def parse_cards(lines: Lines) -> list[Card]:
         if head[:1] in ("", "+", "*"):
             if not name or repeats(data):
                 wrong = "without a card" if not name else "that repeats another"
-                raise InputError(f"{where}: a continuation {wrong}: {line.strip()!r}")
+                raise wrong_entry(where, f"a continuation {wrong}: {line.strip()!r}")
             if (label := head.lstrip("+*")) not in ("", before):
                 others[label] = where
             fields.extend(data)
@@ -105,7 +105,7 @@ def parse_cards(lines: Lines) -> list[Card]:
             cards.append(Card(name, tuple(_trimmed(fields)), place))
         if (count := count_of(head, where)) is not None:
             if not steps or len(cards) + count > LINES:
-                raise InputError(f"{where}: {head!r}; allowed: below a line that repeats a card, {LINES} cards in all")
+                raise wrong_entry(where, f"{head!r}", f"below a line that repeats a card, {LINES} cards in all")
             for _ in range(count):
                 cards.append(repeated(cards[-1], steps, where))
             name = ""
@@ -113,13 +113,13 @@ def parse_cards(lines: Lines) -> list[Card]:
         if head == "=" or repeats(data):
             made = repeated(cards[-1] if cards else None, data, where)
             if head not in ("=", made.name):
-                raise InputError(f"{where}: {head} repeats {cards[-1]}; allowed: a card of the same name")
+                raise wrong_entry(where, f"{head} repeats {cards[-1]}", "a card of the same name")
             name, fields, place, steps = made.name, [*made.fields, *[""] * (len(data) - len(made.fields))], where, data
         else:
             name, fields, place, steps = head.rstrip("*"), data, where, []
     for label in others.keys() & marks:
-        raise InputError(
-            f"{others[label]}: the continuation {label!r} is not below the line that it continues; allowed: below it"
+        raise wrong_entry(
+            others[label], f"the continuation {label!r} is not below the line that it continues", "below it"
         )
     if name:
         cards.append(Card(name, tuple(_trimmed(fields)), place))
@@ -150,11 +150,11 @@ class _Files:
     def _read(self, file: Path, opened: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
         file, self.files = file.resolve(), self.files + 1
         if file in opened:
-            raise InputError(f"{file.name}: INCLUDE runs in a circle")
+            raise wrong_entry(file.name, "INCLUDE runs in a circle", key="INCLUDE")
         if self.files > INCLUDES:
-            raise InputError(f"{file.name}: more than {INCLUDES} files are included; allowed: {INCLUDES}")
+            raise wrong_entry(file.name, f"more than {INCLUDES} files are included", f"{INCLUDES}", key="INCLUDE")
         if len(opened) > NESTED:
-            raise InputError(f"{file.name}: INCLUDE in a chain of more than {NESTED} files; allowed: {NESTED}")
+            raise wrong_entry(file.name, f"INCLUDE in a chain of more than {NESTED} files", f"{NESTED}", key="INCLUDE")
         if file.stat().st_size > _BYTES * LINES:
             raise InputError(
                 file.name, allowed=f"{LINES} lines, {_BYTES * LINES} bytes", state=f"has {file.stat().st_size} bytes"
@@ -176,7 +176,7 @@ class _Files:
                 while named[:1] in ("'", '"') and named.count(named[0]) < 2:  # the name goes on
                     _, more = next(numbered, (0, ""))
                     if not more:
-                        raise InputError(f"{where}: INCLUDE of {named!r} has no closing quote")
+                        raise wrong_entry(where, f"INCLUDE of {named!r} has no closing quote", key="INCLUDE")
                     named += more.strip()
                 yield from self._read(self._target(file, named.strip("'\" "), where), (*opened, file))
 
@@ -190,10 +190,12 @@ class _Files:
             except (OSError, ValueError):
                 continue
             if is_file and not target.is_relative_to(self.folder):
-                raise InputError(f"{where}: INCLUDE of {named!r} is outside of {self.folder}; allowed: a file inside")
+                raise wrong_entry(
+                    where, f"INCLUDE of {named!r} is outside of {self.folder}", "a file inside", key="INCLUDE"
+                )
             if is_file:
                 return target
-        raise InputError(f"{where}: INCLUDE of {named!r}; allowed: a file that exists")
+        raise wrong_entry(where, f"INCLUDE of {named!r}", "a file that exists", key="INCLUDE")
 
 
 def _without_comments(lines: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
@@ -211,7 +213,7 @@ def _sections(lines: Lines) -> tuple[Lines | None, Lines]:
     again = [(where, x) for where, x in lines[start:end] if x.upper().split()[:1] == ["BEGIN"]]
     if again:
         where, line = again[0]
-        raise InputError(f"{where}: {line.strip()!r} begins a superelement; allowed: one section, BEGIN BULK")
+        raise wrong_entry(where, f"{line.strip()!r} begins a superelement", "one section, BEGIN BULK")
     return None if begin is None else lines[:begin], lines[start:end]
 
 
@@ -227,15 +229,15 @@ def _split(line: str, where: str) -> tuple[str, list[str], str]:
         width = _PER_LINE // 2 if "*" in head else _PER_LINE
         beyond = [word for word in words[1 + width :] if word and word[0] not in "+*"]
         if beyond:
-            raise InputError(
-                f"{where}: {beyond[0]!r} is beyond the {width} data fields of a line; continue on the next line"
+            raise wrong_entry(
+                where, f"{beyond[0]!r} is beyond the {width} data fields of a line; continue on the next line"
             )
         mark = next((word for word in words[1 + width :] if word), "")
         return head, (words[1:] + [""] * width)[:width], mark.lstrip("+*").upper()
     line = line.expandtabs(8)
     head = line[:8].strip().upper()
     if " " in head and head[0] not in "+*":
-        raise InputError(f"{where}: {head!r} is not the name of a card; is a field of 8 columns shifted?")
+        raise wrong_entry(where, f"{head!r} is not the name of a card; is a field of 8 columns shifted?")
     width, count = (16, 4) if "*" in head else (8, _PER_LINE)
     fields = [line[8 + width * k : 8 + width * (k + 1)].strip() for k in range(count)]
     return head, fields, line[72:80].strip().lstrip("+*").upper()

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, warn, wrong_entry
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.elements import (
     LINKS,
@@ -151,7 +151,9 @@ class BulkData:
         for card in placed:
             number = card.integer(1, "ID")
             if number in data.grids:
-                raise InputError(f"{card}: GRID {number} stands twice, first at {data.grid_cards[number].where}")
+                raise wrong_entry(
+                    card, f"GRID {number} stands twice, first at {data.grid_cards[number].where}", key="ID"
+                )
             data.grids[number], data.grid_cards[number] = data.systems.position(card), card
             if card.text(7):
                 data.supports.append(Support(card, 0, card.text(7), (number,)))
@@ -185,7 +187,7 @@ class BulkData:
             for part in _split_pelas(card):
                 key = (name, part.integer(1, "PID"))
                 if key in self.other_properties:
-                    raise InputError(f"{part}: the number {key[1]} is taken by {self.other_properties[key]}")
+                    raise wrong_entry(part, f"the number {key[1]} is taken by {self.other_properties[key]}", key="PID")
                 self.other_properties[key] = part
         elif name in RIGIDS:
             self.rigids.append(read_rigid(card, self.grids))
@@ -195,7 +197,7 @@ class BulkData:
             table = self.properties if name in PROPERTIES else self.materials
             number = card.integer(1, "number")
             if number in table:
-                raise InputError(f"{card}: the number {number} is taken by {table[number]}")
+                raise wrong_entry(card, f"the number {number} is taken by {table[number]}", key="ID")
             table[number] = card
         elif name == "CONM2":
             self.masses.append(_mass(card))
@@ -216,9 +218,10 @@ class BulkData:
         elif name == "DMIG":
             self.matrices.setdefault(card.text(1).upper(), card)
         elif not is_inert(name):
-            raise InputError(
-                f"{card}: this card cannot be read, and without it the structure may be another; allowed: {', '.join(READ)}, "
-                "and cards without mass, stiffness and support"
+            raise wrong_entry(
+                card,
+                "this card cannot be read, and without it the structure may be another",
+                f"{', '.join(READ)}, and cards without mass, stiffness and support",
             )
         elif name not in QUIET:
             self.ignored[name] += 1
@@ -249,9 +252,9 @@ class BulkData:
             self.ignored[f"{card.name} of scalar points"] += 1
         elif len(of_grids) == 1 and all(points):
             allowed = "two grids, or scalar points alone"
-            raise InputError(f"{card}: it joins grid {of_grids[0]} with a scalar point; allowed: {allowed}")
+            raise wrong_entry(card, f"it joins grid {of_grids[0]} with a scalar point", allowed, key="G1")
         elif card.name in SCALAR_MASSES:
-            raise InputError(f"{card}: a mass of single components at grids {of_grids}; allowed: CONM2")
+            raise wrong_entry(card, f"a mass of single components at grids {of_grids}", "CONM2", key="C1")
         elif card.name not in ("CROD", "CONROD", "CTUBE") and len(of_grids) == 1:
             self._check_grids(card, tuple(of_grids))
             self.grounded.append(card)
@@ -261,7 +264,9 @@ class BulkData:
     def _check(self) -> None:
         for element in (*self.shells, *self.bars):
             if element.property not in self.properties:
-                raise InputError(f"{element.card}: property {element.property} does not exist; a card is missing")
+                raise wrong_entry(
+                    element.card, f"property {element.property} does not exist; a card is missing", key="PID"
+                )
             self._check_grids(element.card, element.grids)
         for element in (*self.solids, *self.panels, *self.links):
             self._check_grids(element.card, element.grids)
@@ -272,14 +277,14 @@ class BulkData:
         for support in self.supports:
             self._check_grids(support.card, tuple(grid for grid in support.grids if grid not in self.scalars))
             if not set(support.components) <= set("0123456"):
-                raise InputError(
-                    f"{support.card}: it holds {support.components!r}; allowed: components 1 to 6, as in 123"
+                raise wrong_entry(
+                    support.card, f"it holds {support.components!r}", "components 1 to 6, as in 123", key="C"
                 )
         taken: dict[tuple[str, int], Card] = {}
         for entry in (*self.shells, *self.bars, *self.solids, *self.panels, *self.links, *self.masses, *self.rigids):
             kind = "" if isinstance(entry, (Shell, Bar)) else entry.card.name
             if (first := taken.setdefault((kind, entry.card.integer(1, "EID")), entry.card)) is not entry.card:
-                raise InputError(f"{entry.card}: its number stands twice, first in {first}")
+                raise wrong_entry(entry.card, f"its number stands twice, first in {first}", key="ID")
 
     def _check_grids(self, card: Card, grids: tuple[int, ...]) -> None:
         for grid in grids:
@@ -288,7 +293,7 @@ class BulkData:
                     (str(card), str(grid)), allowed="grids", noun=f"{card}: {grid}", state="is a scalar point"
                 )
             if grid not in self.grids:
-                raise InputError(f"{card}: GRID {grid} does not exist")
+                raise wrong_entry(card, f"GRID {grid} does not exist", key="G")
 
     def displacement_axes(self, grid: int) -> np.ndarray:
         """Return the axes of the system CD of a grid at its position, as rows."""
@@ -298,14 +303,14 @@ class BulkData:
     def property_of(self, card: Card, name: str, number: int) -> Card:
         """Return the property card of a rod, spring, bushing, solid or shear panel."""
         if (name, number) not in self.other_properties:
-            raise InputError(f"{card}: {name} {number} does not exist; a card is missing")
+            raise InputError((str(card), name), number, "a number that exists: a card is missing")
         return self.other_properties[name, number]
 
     def material(self, card: Card, number: int) -> Card:
         """Return the material card that a property names."""
         if number not in self.materials:
-            raise InputError(
-                f"{card}: material {number} does not exist; allowed: a MAT1, MAT2, MAT8 or MAT9 of the file"
+            raise wrong_entry(
+                card, f"material {number} does not exist", "a MAT1, MAT2, MAT8 or MAT9 of the file", key="MID"
             )
         return self.materials[number]
 
@@ -333,7 +338,9 @@ def _shell(card: Card, corners: int) -> Shell:
     direction, offset = card.text(3 + corners), card.real(4 + corners, "ZOFFS", 0.0)
     for k in range(11, 11 + corners):
         if card.text(k):
-            raise InputError(f"{card}: thickness at a corner is {card.text(k)}; allowed: the thickness of the property")
+            raise wrong_entry(
+                card, f"thickness at a corner is {card.text(k)}", "the thickness of the property", key="T"
+            )
     is_system = re.fullmatch(r"\d+", direction) is not None
     theta = None if is_system else card.real(3 + corners, "THETA", 0.0)
     property = card.integer(2, "PID", card.integer(1, "EID"))

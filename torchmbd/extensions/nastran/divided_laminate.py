@@ -43,7 +43,10 @@ class DividedLaminate(Laminate):
         for name, x in (("membrane", membrane), ("bending", bending), ("shear", shear)):
             if not float(torch.linalg.eigvalsh(x)[0]) > 0.0:
                 raise InputError(
-                    f"{name} stiffness is not positive definite: {x.tolist()}; allowed: an elastic material"
+                    (name,),
+                    allowed="an elastic material",
+                    state=f"is not positive definite: {x.tolist()}",
+                    noun=f"{name} stiffness",
                 )
             self.register_buffer(name, x, persistent=False)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 
-from torchmbd.errors import InputError
+from torchmbd.errors import wrong_entry
 from torchmbd.extensions.nastran.card import Card
 
 SOLIDS = {"CTETRA": (4, 10), "CPENTA": (6, 15), "CHEXA": (8, 20)}  # corners, and these with nodes on all sides
@@ -77,10 +77,10 @@ def read_solid(card: Card) -> Solid:
     count = sum(1 for word in card.fields[2 : nodes + 2] if word not in ("", "0"))
     if count not in (corners, nodes):
         allowed = f"{corners} corners alone, or with all {nodes - corners} nodes on its sides"
-        raise InputError(f"{card}: it has {count} grids; allowed: {allowed}")
+        raise wrong_entry(card, f"it has {count} grids", allowed, key="G")
     grids = tuple(card.integer(3 + k, f"G{k + 1}") for k in range(count))
     if len(set(grids)) < count:
-        raise InputError(f"{card}: grids {list(grids)}; allowed: {count} different ones")
+        raise wrong_entry(card, f"grids {list(grids)}", f"{count} different ones", key="G")
     return Solid(card, card.integer(2, "PID", card.integer(1, "EID")), grids)
 
 
@@ -88,7 +88,7 @@ def read_panel(card: Card) -> Solid:
     """Read a CSHEAR."""
     grids = tuple(card.integer(3 + k, f"G{k + 1}") for k in range(4))
     if len(set(grids)) < 4:
-        raise InputError(f"{card}: grids {list(grids)}; allowed: 4 different ones")
+        raise wrong_entry(card, f"grids {list(grids)}", "4 different ones", key="G")
     return Solid(card, card.integer(2, "PID", card.integer(1, "EID")), grids)
 
 
@@ -114,4 +114,4 @@ def rbar_grids(card: Card) -> tuple[int, int]:
     if components["CNB"] == whole and not components["CNA"] and components["CMA"] in (set(), whole):
         return card.integer(3, "GB"), card.integer(2, "GA")
     texts = [card.text(4 + k) for k in range(4)]
-    raise InputError(f"{card}: CNA to CMB are {texts}; allowed: 123456 at one end, blank at the other")
+    raise wrong_entry(card, f"CNA to CMB are {texts}", "123456 at one end, blank at the other", key="CNA")

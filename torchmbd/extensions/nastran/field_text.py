@@ -21,12 +21,12 @@ _FIELDS = 4  # of a line
 def number_text(x: float) -> str:
     """Return the shortest text of a number with the most digits that a field holds; InputError unless it is finite."""
     if not math.isfinite(x):
-        raise InputError(f"a field of a card is {x}: must be a finite number")
+        raise InputError("value", x, "a finite number", noun="a field of a card")
     for digits in range(17, 0, -1):
         text = min(_with_point(x, digits), _with_exponent(x, digits), key=len)
         if len(text) <= WIDTH:
             return text
-    raise InputError(f"a field of a card is {x}: must have an exponent of at most three digits")
+    raise InputError("value", x, rule="must have an exponent of at most three digits", noun="a field of a card")
 
 
 def _with_exponent(x: float, digits: int) -> str:

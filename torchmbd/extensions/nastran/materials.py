@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from torchmbd.errors import InputError, unknown, warn
+from torchmbd.errors import InputError, unknown, warn, within, wrong_entry
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.fem.materials import Ply, Strength
 from torchmbd.math.units import FOOT, GRAVITY, INCH, POUND
@@ -58,10 +58,10 @@ def ply_of(card: Card, units: Units, weight_to_mass: float = 1.0) -> Ply:
     """Make the ply of a MAT1 or MAT8."""
     try:
         if card.name not in ("MAT1", "MAT8"):
-            raise InputError(f"{card}: it is the material of a shell or a beam; allowed: MAT1, MAT8")
+            raise wrong_entry(card, "it is the material of a shell or a beam", "MAT1, MAT8")
         return _isotropic(card, units, weight_to_mass) if card.name == "MAT1" else _ply(card, units, weight_to_mass)
     except InputError as error:
-        raise error if str(error).startswith(card.name) else InputError(f"{card}: {error}") from None
+        raise error if str(error).startswith(card.name) else within(card, error) from None
 
 
 def with_density(cards: dict[int, Card], density: float, units: Units, weight_to_mass: float) -> dict[int, Card]:
@@ -88,17 +88,17 @@ def density_of(card: Card, position: int, units: Units, weight_to_mass: float) -
 def moduli_of(card: Card) -> tuple[float, float, float]:
     """E, G and NU of a MAT1 in units of the file."""
     if card.name != "MAT1":
-        raise InputError(f"{card}: it is the material of a rod or a metal; allowed: MAT1")
+        raise wrong_entry(card, "it is the material of a rod or a metal", "MAT1")
     E, G = card.real(2, "E", 0.0), card.real(3, "G", 0.0)
     nu = card.real(4, "NU") if card.text(4) else None
     if nu is None and E and G:
         nu = E / (2.0 * G) - 1.0
     if nu is None or not (E or G) or not -1.0 < nu < 0.5:
-        raise InputError(f"{card}: E {E:g}, G {G:g}, NU {nu}; allowed: two of E, G, NU, the last between -1 and 0.5")
+        raise wrong_entry(card, f"E {E:g}, G {G:g}, NU {nu}", "two of E, G, NU, the last between -1 and 0.5", key="E")
     E = E or 2.0 * G * (1.0 + nu)
     G = G or E / (2.0 * (1.0 + nu))
     if not (E > 0.0 and G > 0.0):
-        raise InputError(f"{card}: E {E:g}, G {G:g}; allowed: both above 0")
+        raise wrong_entry(card, f"E {E:g}, G {G:g}", "both above 0", key="E")
     return E, G, nu
 
 

@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, warn, wrong_entry
 from torchmbd.extensions.nastran.bars import BarLines, bar_lines
 from torchmbd.extensions.nastran.data import READ, BulkData, Shell
 from torchmbd.fem.mesh.mesh import Mesh
@@ -85,7 +85,9 @@ def _used(data: BulkData) -> list[int]:
     }
     used |= {grid for tied in (*data.rigids, *data.constraints) for grid in tied.grids}
     if not (data.shells or data.bars or data.solids or data.panels or data.links):
-        raise InputError(f"the file has no elements that can be read; allowed: {', '.join(READ)}")
+        raise InputError(
+            "elements", allowed=f"{', '.join(READ)}", state="has no elements that can be read", noun="the file"
+        )
     oriented = {bar.card.integer(5, "G0") for bar in data.bars if bar.card.text(5).isdigit()}
     stray = len(data.grids.keys() - used - oriented)
     if stray:
@@ -110,7 +112,11 @@ def _direction(data: BulkData, shell: Shell) -> list[float]:
     normal = torch.linalg.cross(p[2] - p[0], (p[3] if len(p) == 4 else p[2]) - p[1])
     size = normal.norm()
     if float(size) == 0.0:
-        raise InputError(f"{shell.card} is collapsed (its corners are on a line)")
+        raise wrong_entry(
+            f"{shell.card} is collapsed (its corners are on a line)",
+            "is collapsed (its corners are on a line)",
+            key="G",
+        )
     normal = normal / size
     side = side - (side @ normal) * normal
     theta = math.radians(shell.theta or 0.0)

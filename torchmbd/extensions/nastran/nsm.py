@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, warn, wrong_entry
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.control import Control
 from torchmbd.extensions.nastran.data import BulkData
@@ -88,9 +88,7 @@ def _chosen(data: BulkData, control: Control | None) -> list[Card]:
         return sets[number]
     missing = [part for part in unions[number].integers(2, sets) if part not in sets]
     if missing or number in sets:
-        raise InputError(
-            f"{unions[number]}: sets {missing or [number]}; allowed: sets of NSM that exist, another number"
-        )
+        raise wrong_entry(unions[number], f"sets {missing or [number]}", "sets of NSM that exist, another number")
     return [card for part in dict.fromkeys(unions[number].integers(2, sets)) for card in sets[part]]
 
 
@@ -139,14 +137,16 @@ def _shares(card: Card, carriers: list[Carrier]) -> Iterator[tuple[Carrier, floa
     for numbers, value in groups:
         missing = [number for number in numbers if number not in by_number]
         if missing or not numbers or value < 0.0:
-            raise InputError(
-                f"{card}: TYPE {kind}, ID {missing or numbers}, VALUE {value:g}; allowed: numbers of {kind} with shells, "
-                "panels, bars or rods, a value >= 0"
+            raise wrong_entry(
+                card,
+                f"TYPE {kind}, ID {missing or numbers}, VALUE {value:g}",
+                f"numbers of {kind} with shells, panels, bars or rods, a value >= 0",
+                key="ID",
             )
         members = [carrier for number in dict.fromkeys(numbers) for carrier in by_number[number]]
         if card.name in ("NSML", "NSML1"):
             if len({carrier.kind in _AREAS for carrier in members}) > 1:
-                raise InputError(f"{card}: its mass is spread over areas and lengths; allowed: one of both")
+                raise wrong_entry(card, "its mass is spread over areas and lengths", "one of both", key="ID")
             value = value / sum(carrier.measure for carrier in members)
         for carrier in members:
             yield carrier, value * carrier.measure

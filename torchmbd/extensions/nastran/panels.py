@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, wrong_entry
 from torchmbd.extensions.nastran.data import BulkData
 from torchmbd.extensions.nastran.elements import Solid
 from torchmbd.extensions.nastran.materials import Units, moduli_of
@@ -49,7 +49,7 @@ def _panel(data: BulkData, panel: Solid) -> tuple[np.ndarray, float]:
     area = 0.5 * float(np.linalg.norm(normal))
     size = float(np.linalg.norm(x[2] - x[0])) * float(np.linalg.norm(x[3] - x[1]))
     if not t > 0.0 or not area > 1e-9 * size:
-        raise InputError(f"{panel.card}: T {t:g}, area {area:g}; allowed: both > 0")
+        raise wrong_entry(panel.card, f"T {t:g}, area {area:g}", "both > 0", key="T")
     e_z = normal / (2.0 * area)
     e_x = x[1] + x[2] - x[0] - x[3]
     e_x = e_x - (e_x @ e_z) * e_z

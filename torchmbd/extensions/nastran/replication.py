@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from torchmbd.errors import InputError
+from torchmbd.errors import wrong_entry
 from torchmbd.extensions.nastran.card import Card
 
 MOST = 1_000_000  # repetitions by one line
@@ -38,7 +38,7 @@ def count_of(head: str, where: str) -> int | None:
         return None
     match = _COUNT.fullmatch(head)
     if not match or not 0 < int(match[1]) <= MOST:
-        raise InputError(f"{where}: {head!r} stands for a name; allowed: =, or =(n) with n of 1 to {MOST}")
+        raise wrong_entry(where, f"{head!r} stands for a name", f"=, or =(n) with n of 1 to {MOST}")
     return int(match[1])
 
 
@@ -46,7 +46,7 @@ def repeated(before: Card | None, fields: Sequence[str], where: str) -> Card:
     """Return the card that repeats the card `before` with fields of its own."""
     if before is None or len(before.fields) > len(fields):
         text = "no card" if before is None else str(before)
-        raise InputError(f"{where}: it repeats {text}; allowed: a card of one line above it")
+        raise wrong_entry(where, f"it repeats {text}", "a card of one line above it")
     words = []
     for k, word in enumerate(fields, start=1):
         if word == "==":

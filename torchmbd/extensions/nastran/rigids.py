@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, warn, wrong_entry
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.elements import rbar_grids
 from torchmbd.fem.elements import Average, Combination, Follower, RigidLink
@@ -75,7 +75,7 @@ def read_rigid(card: Card, grids: Collection[int]) -> Rigid:
     else:
         made = _rbe2(card, grids) if card.name == "RBE2" else _rbe3(card)
     if made.grid in made.others:
-        raise InputError(f"{card}: GRID {made.grid} follows itself; allowed: other grids")
+        raise wrong_entry(card, f"GRID {made.grid} follows itself", "other grids", key="G")
     return made
 
 
@@ -89,10 +89,10 @@ def read_constraint(card: Card) -> MultipointConstraint:
                 continue
             component = card.integer(start + 1, f"C{number}", 0)
             if not 1 <= component <= 6:
-                raise InputError(f"{card}: C{number} is {card.text(start + 1)!r}; allowed: 1 to 6")
+                raise wrong_entry(card, f"C{number} is {card.text(start + 1)!r}", "1 to 6", key="C")
             terms.append(Term(card.integer(start, f"G{number}"), component, card.real(start + 2, f"A{number}")))
     if len(terms) < 2:
-        raise InputError(f"{card}: it has {len(terms)} terms; allowed: at least two, G1 C1 A1 G2 C2 A2")
+        raise wrong_entry(card, f"it has {len(terms)} terms", "at least two, G1 C1 A1 G2 C2 A2", key="G")
     first, others = terms[0], terms[1:]
     if first.factor == 0.0:
         raise InputError(
@@ -103,8 +103,8 @@ def read_constraint(card: Card) -> MultipointConstraint:
             shown=f"{card.text(4)}",
         )
     if any(term[:2] == first[:2] for term in others):
-        raise InputError(
-            f"{card}: component {first.component} of GRID {first.grid} stands twice; allowed: it follows once"
+        raise wrong_entry(
+            card, f"component {first.component} of GRID {first.grid} stands twice", "it follows once", key="C"
         )
     return MultipointConstraint(card, tuple(terms))
 
@@ -114,7 +114,7 @@ def _rbe2(card: Card, grids: Collection[int]) -> Rigid:
     words = [word for word in card.fields[3:] if word and not re.search(r"[.]", word)]
     followers = Card(card.name, (*card.fields[:1], "", "", *words), card.where).integers(4, grids)
     if not followers:
-        raise InputError(f"{card}: no grid follows; allowed: at least one")
+        raise wrong_entry(card, "no grid follows", "at least one", key="GM")
     return Rigid(card, card.integer(2, "GN"), tuple(followers), (), components)
 
 
@@ -141,7 +141,7 @@ def _rbe3(card: Card) -> Rigid:
             grids.append(card.integer(position, "G"))
             weights.append(weight)
     if not grids:
-        raise InputError(f"{card}: no grids to average; allowed: at least three that span a plane")
+        raise wrong_entry(card, "no grids to average", "at least three that span a plane", key="G")
     if turning:
         warn(f"{card}: C is {turning!r}; the rotations of the averaged grids are left out, their displacements count")
     return Rigid(card, card.integer(3, "REFGRID"), tuple(grids), tuple(weights), _components(card, 4, "REFC"))
@@ -208,9 +208,11 @@ def _basic_freedoms(card: Card, grid: int, components: str, axes: Axes) -> tuple
         numbers = [int(word) for word in triad if word in components]
         directions = [_direction(component, system) for component in numbers]
         if len(numbers) < 3 and any(np.count_nonzero(e) != 1 for e in directions):
-            raise InputError(
-                f"{card}: components {components} of GRID {grid} are in a system CD that is turned; allowed: 123 or 456 "
-                "together, or axes along the basic ones"
+            raise wrong_entry(
+                card,
+                f"components {components} of GRID {grid} are in a system CD that is turned",
+                "123 or 456 together, or axes along the basic ones",
+                key="CM",
             )
         if len(numbers) == 3:
             chosen += [numbers[0] - 1 + k for k in range(3)]
@@ -224,9 +226,11 @@ def _check_links(links: list[tuple[Card, Follower]], grids: dict[int, int]) -> N
     for card, link in links:
         for i in link.components:
             if (link.node, i) in led:
-                raise InputError(
-                    f"{card}: GRID {grids[link.node]} follows already by {led[link.node, i]}, in component {i + 1}; "
-                    "allowed: one card for each freedom"
+                raise wrong_entry(
+                    card,
+                    f"GRID {grids[link.node]} follows already by {led[link.node, i]}, in component {i + 1}",
+                    "one card for each freedom",
+                    key="G",
                 )
             led[link.node, i] = card
     order = graphlib.TopologicalSorter[tuple[int, int]]()

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, warn, within, wrong_entry
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.data import BulkData
 from torchmbd.extensions.nastran.materials import Units, ply_of
@@ -38,7 +38,7 @@ def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
     ply = ply_of(material, units, data.weight_to_mass)
     readers = {"PBAR": _bar, "PBARL": _named_bar, "PBEAM": _beam, "PBEAML": _named_beam}
     if card.name not in readers:
-        raise InputError(f"{card}: this section cannot be read; allowed: {', '.join(readers)}")
+        raise wrong_entry(card, "this section cannot be read", f"{', '.join(readers)}")
     numbers, extra = readers[card.name](card)
     if not numbers.A > 0.0:
         raise InputError((str(card), "A"), numbers.A, "above 0", noun=f"{card}: A", shown=f"{numbers.A:g}")
@@ -47,7 +47,7 @@ def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
     try:
         return _section(numbers, L, number(ply.E1), number(ply.G12), number(density))
     except InputError as error:
-        raise InputError(f"{card}: {error}") from None
+        raise within(card, error) from None
 
 
 def _section(numbers: SectionNumbers, length: float, E: float, G: float, density: float) -> GivenSection:
@@ -113,7 +113,7 @@ def _shape(card: Card, kind: str, d: list[float]) -> SectionNumbers:
     try:
         return of_shape(kind, d)
     except ValueError as error:
-        raise InputError(f"{card}: {kind} of {d}; allowed: {error}") from None
+        raise wrong_entry(card, f"{kind} of {d}", f"{error}", key="DIM") from None
 
 
 def _kind(card: Card, allowed: set[str]) -> str:
@@ -147,9 +147,7 @@ def _beam(card: Card) -> tuple[SectionNumbers, float]:
     if any(places[:4]) and extra:
         warn(f"{card}: its mass without stiffness lies at M1, M2; taken at the neutral axis")
     if card.text(start + 16):
-        raise InputError(
-            f"{card}: field {start + 16} is {card.text(start + 16)}; allowed: stations, K1 to CW, M1 to N2"
-        )
+        raise wrong_entry(card, f"field {start + 16} is {card.text(start + 16)}", "stations, K1 to CW, M1 to N2")
     return SectionNumbers(A, I1, I2, I12, J, K1, K2, center), extra
 
 
@@ -163,7 +161,7 @@ def _mean_of_ends(card: Card, name: str, start: float, end: float) -> float:
 def _station(card: Card, position: int) -> float:
     place = card.real(position, "X/XB", 1.0)
     if not 0.0 < place <= 1.0:
-        raise InputError(f"{card}: X/XB is {place:g}; allowed: above 0, up to 1")
+        raise InputError((str(card), "X/XB"), place, "above 0, up to 1", noun=f"{card}: X/XB", shown=f"{place:g}")
     return place
 
 

@@ -18,7 +18,7 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import InputError, warn, within, wrong_entry
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.data import BulkData
 from torchmbd.extensions.nastran.divided_laminate import DividedLaminate
@@ -38,15 +38,15 @@ def laminate_of(data: BulkData, card: Card, units: Units, offset: float = 0.0) -
         if card.name in ("PCOMP", "PCOMPG"):
             return _stack(data, card, units, offset)
     except InputError as error:
-        raise error if " (" in str(error).partition(":")[0] else InputError(f"{card}: {error}") from None
-    raise InputError(f"{card}: it stands for a shell; allowed: PSHELL, PCOMP, PCOMPG")
+        raise error if " (" in str(error).partition(":")[0] else within(card, error) from None
+    raise wrong_entry(card, "it stands for a shell", "PSHELL, PCOMP, PCOMPG")
 
 
 def _shell(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
     middle, bending, shear = card.integer(2, "MID1", 0), card.integer(4, "MID2", 0), card.integer(6, "MID3", 0)
     if middle < 1 or bending < 0 or card.text(11):
         texts = [card.text(k) for k in (2, 4, 6, 11)]
-        raise InputError(f"{card}: MID1 to MID4 are {texts}; allowed: MID1, MID2 >= 0, no MID4")
+        raise wrong_entry(card, f"MID1 to MID4 are {texts}", "MID1, MID2 >= 0, no MID4", key="MID1")
     thickness = card.real(3, "T") * units.length
     solid, ratio = card.real(5, "12I/T**3", 1.0), card.real(7, "TS/T", _SHEAR)
     material = data.material(card, middle)
@@ -98,7 +98,7 @@ def _equivalent(material: Card, Q: Tensor, units: Units, data: BulkData) -> Ply:
     if material.name != "MAT2":
         return ply_of(material, units, data.weight_to_mass)
     if not float(torch.linalg.eigvalsh(Q)[0]) > 0.0:
-        raise InputError(f"{material}: G11 to G33 are {Q.tolist()}; allowed: a positive definite matrix")
+        raise wrong_entry(material, f"G11 to G33 are {Q.tolist()}", "a positive definite matrix", key="G")
     S = torch.linalg.inv(Q)
     E1, E2, G12, nu12 = (float(x) for x in (1 / S[0, 0], 1 / S[1, 1], 1 / S[2, 2], -S[0, 1] / S[0, 0]))
     return Ply(E1, E2, G12, G12, G12, nu12, density_of(material, 8, units, data.weight_to_mass))
@@ -114,7 +114,7 @@ def _stack(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
         thicknesses.append(card.real(start + 1, "T", thicknesses[-1] if thicknesses else None))
         angles.append(card.real(start + 2, "THETA", 0.0))
     if not materials:
-        raise InputError(f"{card}: it has no plies")
+        raise wrong_entry(card, "it has no plies")
     total = sum(thicknesses) * (2.0 if kind == "SYM" else 1.0)
     if not is_centered(card, total):
         offset = offset + (card.real(2, "Z0") + total / 2.0) * units.length
@@ -139,6 +139,6 @@ def is_centered(card: Card, total: float) -> bool:
 
 def _with_extra_mass(ply: Ply, card: Card, position: int, thickness: float, data: BulkData, units: Units) -> Ply:
     if not thickness > 0.0:
-        raise InputError(f"{card}: its thickness is {thickness:g} m; allowed: above 0")
+        raise wrong_entry(card, f"its thickness is {thickness:g} m", "above 0", key="T")
     extra = card.real(position, "NSM", 0.0) * units.per_area * data.weight_to_mass
     return dataclasses.replace(ply, density=ply.density + extra / thickness) if extra else ply

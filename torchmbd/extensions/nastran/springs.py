@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, wrong_entry
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.data import BulkData
 from torchmbd.extensions.nastran.elements import LINKS, Link, Solid
@@ -67,7 +67,7 @@ def _rod(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
     a, b = (np.array(data.grids[grid]) for grid in link.grids)
     length = float(np.linalg.norm(b - a))
     if not length > 0.0 or not A > 0.0 or J < 0.0:
-        raise InputError(f"{link.card}: length {length:g}, A {A:g}, J {J:g}; allowed: length and A > 0, J >= 0")
+        raise wrong_entry(link.card, f"length {length:g}, A {A:g}, J {J:g}", "length and A > 0, J >= 0", key="A")
     E, G, _ = moduli_of(material)
     e = (b - a) / length
     K = np.zeros((12, 12))
@@ -88,8 +88,8 @@ def _tube_numbers(card: Card) -> tuple[float, float, float]:
     outer = card.real(3, "OD")
     inner = outer - 2.0 * (card.real(4, "T", 0.0) or outer / 2.0)
     if not 0.0 <= inner < outer or card.real(6, "OD2", outer) != outer:
-        raise InputError(
-            f"{card}: OD {outer:g}, T {card.text(4)}, OD2 {card.text(6)!r}; allowed: 0 <= T <= OD / 2, OD2 = OD"
+        raise wrong_entry(
+            card, f"OD {outer:g}, T {card.text(4)}, OD2 {card.text(6)!r}", "0 <= T <= OD / 2, OD2 = OD", key="OD"
         )
     A, J = math.pi / 4.0 * (outer**2 - inner**2), math.pi / 32.0 * (outer**4 - inner**4)
     return A, J, card.real(5, "NSM", 0.0)
@@ -102,7 +102,7 @@ def _spring(data: BulkData, link: Link) -> np.ndarray:
     for end, (grid, place, sign) in enumerate(zip(link.grids, (4, 6), (1.0, -1.0), strict=True)):
         component = card.integer(place, f"C{end + 1}")
         if not 1 <= component <= 6:
-            raise InputError(f"{card}: C{end + 1} is {component}; allowed: 1 to 6")
+            raise wrong_entry(card, f"C{end + 1} is {component}", "1 to 6", key="C")
         axes = data.displacement_axes(grid)
         start = 6 * end + (0 if component <= 3 else 3)
         g[start : start + 3] = sign * axes[(component - 1) % 3]
@@ -137,7 +137,7 @@ def _bushing_stiffness(card: Card) -> list[float]:
     for start in range(2, len(card.fields) + 1, 8):
         if card.text(start).upper() == "K":
             return [card.real(start + 1 + i, f"K{i + 1}", 0.0) for i in range(6)]
-    raise InputError(f"{card}: it has no K; allowed: K, K1 to K6")
+    raise wrong_entry(card, "it has no K", "K, K1 to K6", key="K")
 
 
 def _bushing_axes(data: BulkData, link: Link, a: np.ndarray, b: np.ndarray, k: list[float]) -> np.ndarray:
@@ -147,20 +147,20 @@ def _bushing_axes(data: BulkData, link: Link, a: np.ndarray, b: np.ndarray, k: l
     along = b - a
     length = float(np.linalg.norm(along))
     if length == 0.0:
-        raise InputError(f"{card}: its grids are at one place; allowed: CID, its system")
+        raise wrong_entry(card, "its grids are at one place", "CID, its system", key="CID")
     if card.text(5).isdigit():
         grid = card.integer(5, "G0")
         if grid not in data.grids:
-            raise InputError(f"{card}: GRID {grid} does not exist")
+            raise InputError((str(card), "G0"), grid, "a GRID that exists")
         v = np.array(data.grids[grid]) - a
     else:
         v = np.array([card.real(5 + i, f"X{i + 1}", 0.0) for i in range(3)])
         if not v.any() and any(k[i] for i in (1, 2, 4, 5)):
-            raise InputError(f"{card}: it has no vector, and K2, K3, K5 or K6; allowed: X1 to X3, G0 or CID")
+            raise wrong_entry(card, "it has no vector, and K2, K3, K5 or K6", "X1 to X3, G0 or CID", key="X")
         v = v @ data.displacement_axes(link.grids[0]) if v.any() else np.eye(3)[np.argmin(np.abs(along))]
     z = np.cross(along, v)
     if np.linalg.norm(z) <= 1e-9 * length * np.linalg.norm(v):
-        raise InputError(f"{card}: its vector {v.tolist()} lies along its line; allowed: another one")
+        raise wrong_entry(card, f"its vector {v.tolist()} lies along its line", "another one", key="X")
     x, z = along / length, z / np.linalg.norm(z)
     return np.array([x, np.cross(z, x), z])
 
@@ -189,7 +189,7 @@ def _oriented_matrices(mesh: Mesh, members: Tensor, D: Tensor, group: list[Solid
     right, mirrored = (volume > 0).all(1), (volume < 0).all(1)
     wrong = (~(right | mirrored)).nonzero()[:, 0]
     if len(wrong):
-        raise InputError(f"{group[int(wrong[0])].card}: it is collapsed or crosses itself; allowed: a volume > 0")
+        raise wrong_entry(group[int(wrong[0])].card, "it is collapsed or crosses itself", "a volume > 0", key="G")
     sign = 2.0 * right.to(K.dtype) - 1.0
     return K * sign[:, None, None], share * sign[:, None]
 
@@ -215,14 +215,16 @@ def _solid_material(data: BulkData, card: Card, number: int, units: Units) -> tu
     D[np.triu_indices(6)] = [material.real(2 + k, "G", 0.0) for k in range(21)]
     D = D + np.triu(D, 1).T
     if not np.linalg.eigvalsh(D)[0] > 0.0:
-        raise InputError(f"{material}: its matrix G is not positive definite; allowed: an elastic material")
+        raise wrong_entry(material, "its matrix G is not positive definite", "an elastic material", key="G")
     system = solid.integer(3, "CORDM", 0)
     if system < 0:
         raise InputError(
             (str(solid), "CORDM"), system, "0 or a system, with MAT9", noun=f"{solid}: CORDM", shown=f"{system}"
         )
     if data.systems.curved(system, solid):
-        raise InputError(f"{solid}: CORDM {system} is not a rectangular system; allowed: a rectangular one, with MAT9")
+        raise wrong_entry(
+            solid, f"CORDM {system} is not a rectangular system", "a rectangular one, with MAT9", key="CORDM"
+        )
     T = _strain_transformation(data.systems.axes(system, solid, np.zeros(3)))
     return torch.from_numpy(T.T @ D @ T) * units.stress, density_of(material, 23, units, data.weight_to_mass)
 

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, wrong_entry
 from torchmbd.extensions.nastran.card import Card
 
 NESTED = 100  # systems that refer to one another in a chain
@@ -39,7 +39,7 @@ class Systems:
                 (str(card), "CID"), number, "above 0, which is the basic system", noun=f"{card}: CID", shown=f"{number}"
             )
         if number in self._cards:
-            raise InputError(f"{card}: the number {number} is taken by {self._cards[number]}")
+            raise wrong_entry(card, f"the number {number} is taken by {self._cards[number]}", key="CID")
         self._cards[number] = card
 
     def axes(self, number: int, card: Card, at: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ class Systems:
         x, y, z = axes @ (at - origin)
         r = math.hypot(x, y)
         if r == 0.0:
-            raise InputError(f"{card}: it lies on the axis of system {number}; allowed: a place with a radius")
+            raise wrong_entry(card, f"it lies on the axis of system {number}", "a place with a radius", key="CID")
         if kind == "C":
             return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, r]]) / r @ axes
         R = math.hypot(r, z)
@@ -82,19 +82,19 @@ class Systems:
         if number in self._systems:
             return self._systems[number]
         if number not in self._cards:
-            raise InputError(f"{card}: coordinate system {number} does not exist; a CORD2R card is missing")
+            raise wrong_entry(card, f"coordinate system {number} does not exist; a CORD2R card is missing", key="CID")
         if number in opened:
-            raise InputError(f"{card}: coordinate system {number} refers to itself")
+            raise wrong_entry(card, f"coordinate system {number} refers to itself", key="RID")
         if len(opened) > NESTED:
-            raise InputError(
-                f"{card}: systems refer to one another in a chain of more than {NESTED}; allowed: {NESTED}"
+            raise wrong_entry(
+                card, f"systems refer to one another in a chain of more than {NESTED}", f"{NESTED}", key="RID"
             )
         definition = self._cards[number]
         origin, up, side = self._points(definition, (*opened, number))
         z, x = up - origin, side - origin
         normal = np.cross(z, x)
         if np.linalg.norm(normal) <= 1e-9 * np.linalg.norm(z) * np.linalg.norm(x):
-            raise InputError(f"{definition}: its three points lie on a line")
+            raise wrong_entry(definition, "its three points lie on a line", key="A")
         z, y = z / np.linalg.norm(z), normal / np.linalg.norm(normal)
         self._systems[number] = origin, np.stack([np.cross(y, z), y, z]), definition.name[-1]
         return self._systems[number]
@@ -104,7 +104,7 @@ class Systems:
             numbers = [card.integer(k, f"G{k - 1}") for k in (2, 3, 4)]
             for k in numbers:
                 if k not in self._grids:
-                    raise InputError(f"{card}: GRID {k} does not exist")
+                    raise wrong_entry(card, f"GRID {k} does not exist", key="G")
             return [np.array(self.position(self._grids[k], opened)) for k in numbers]
         reference = card.integer(2, "RID", 0)
         names = [f"{letter}{k}" for letter in "ABC" for k in (1, 2, 3)]

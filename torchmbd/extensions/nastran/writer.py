@@ -116,8 +116,10 @@ def _changes(text: DeckText, card: Card, stacks: list[_Stack]) -> dict[int, list
     for stack, others in zip(stacks, fields, strict=True):
         if others != fields[0]:
             raise InputError(
-                f"{card.name} {card.fields[0]} is one card of {stacks[0].name} and {stack.name}: must have one design of both. "
-                "Try: links of the problem that make their angles and thicknesses equal"
+                (card.name, card.fields[0]),
+                rule=f"is one card of {stacks[0].name} and {stack.name}: must have one design of both",
+                hint="links of the problem that make their angles and thicknesses equal",
+                noun=f"{card.name} {card.fields[0]}",
             )
     if fields[0] == list(card.fields):
         return {}
@@ -135,8 +137,10 @@ def _continuations(text: DeckText, first: int, card: Card) -> list[int]:
         kind = line_kind(line) if line else "comment"
         if kind == "repetition":
             raise InputError(
-                f"{card.name} {card.fields[0]} repeats another card, or is repeated (=): must stand alone, as it changes. "
-                "Try: a deck whose cards are written out"
+                (card.name, card.fields[0]),
+                rule="repeats another card, or is repeated (=): must stand alone, as it changes",
+                hint="a deck whose cards are written out",
+                noun=f"{card.name} {card.fields[0]}",
             )
         if kind == "card" and index > first:
             break
@@ -151,12 +155,16 @@ def _fields(card: Card, stack: _Stack) -> list[str]:
     angles = laminate.angles.detach()
     several = max((x.shape[0] for x in (angles, laminate.thickness) if x.dim() > 1), default=0)
     if several:
-        raise InputError(f"{stack.name} has {several} designs at once: must be one. Try: a single design")
+        raise InputError((stack.name,), rule=f"has {several} designs at once: must be one", hint="a single design")
     thickness = laminate.thickness.detach().broadcast_to(angles.shape)
     if card.name == "PSHELL":
         if bool((angles != 0.0).any()):
             turn = math.degrees(float(angles[0]))
-            raise InputError(f"{stack.name} is turned by {turn:g} degrees: must be 0, because a PSHELL has no angle")
+            raise InputError(
+                (stack.name, "turn"),
+                rule=f"is turned by {turn:g} degrees: must be 0, because a PSHELL has no angle",
+                noun=f"{stack.name}",
+            )
         places, before = [2], torch.tensor([card.real(3, "T")], dtype=torch.float64)
     else:
         places = ply_places(card)

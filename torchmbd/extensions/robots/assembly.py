@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, true_or_false, unknown, warn
+from torchmbd.errors import InputError, true_or_false, unknown, warn, within
 from torchmbd.extensions.robots.forces import MOVING, actuator_forces, identifier, joint_forces
 from torchmbd.extensions.robots.tree import IDENTITY, Pose, Robot, RobotJoint, combined_mass
 from torchmbd.math.checked_numbers import positive, scalar
@@ -133,7 +133,10 @@ class _Builder:
         for joint in self.robot.joints:
             if (first := names.setdefault(identifier(joint.name), joint.name)) != joint.name:
                 raise InputError(
-                    f"joints {first!r} and {joint.name!r} are both {identifier(joint.name)!r}; allowed: names apart"
+                    ("joints", joint.name),
+                    allowed="names apart",
+                    state=f"are both {identifier(joint.name)!r}",
+                    noun=f"joints {first!r} and {joint.name!r}",
                 )
         self.placed = _place(self.robot.joints, self.robot.root, self.q, self.rate)
         self.owner, self.pose_in_owner = self._owners()
@@ -146,14 +149,21 @@ class _Builder:
         def follow(name: str, followers: tuple[str, ...]) -> None:
             mimic = joints[name].mimics
             if name in followers:
-                raise InputError(f"joints {[*followers, name]} mimic each other in a loop. Try: locked={[name]!r}")
+                raise InputError(
+                    ("joints", name),
+                    rule="mimic each other in a loop",
+                    hint=f"locked={[name]!r}",
+                    noun=f"joints {[*followers, name]}",
+                )
             if mimic is None or name in visited:
                 return
             for x in (name, mimic.joint) if mimic.joint else (name,):
                 if x not in joints or joints[x].kind not in MOVING:
                     raise InputError(
-                        f"joint {name!r} mimics {mimic.joint!r}: both must be revolute, continuous or prismatic. "
-                        f"Try: locked={[name]!r}"
+                        ("joints", name),
+                        rule=f"mimics {mimic.joint!r}: both must be revolute, continuous or prismatic",
+                        hint=f"locked={[name]!r}",
+                        noun=f"joint {name!r}",
                     )
             if mimic.joint:
                 follow(mimic.joint, (*followers, name))
@@ -175,7 +185,14 @@ class _Builder:
         value = self.requests[key].get(name, x)
         reason = f"it mimics {leader!r}" if leader else "the file holds it"
         if abs(value - x) > 1e-9 * max(1.0, abs(x)):
-            raise InputError(f"{key}[{name!r}] = {value:g}: must be {x:g}, because {reason}. Try: {key} without it")
+            raise InputError(
+                (key, name),
+                value,
+                rule=f"must be {x:g}, because {reason}",
+                shown=f"{value:g}",
+                noun=f"{key}[{name!r}]",
+                hint=f"{key} without it",
+            )
         return x
 
     def _locked(self, joint: RobotJoint) -> RobotJoint:
@@ -202,8 +219,10 @@ class _Builder:
                 beyond[joint.name] = f"{joint.name!r} at {q:g}, from {joint.limits[0]:g} to {joint.limits[1]:g}"
         if beyond:
             raise InputError(
-                f"positions: joints start beyond their limits: {'; '.join(beyond.values())}; allowed: positions between them, "
-                "or stop_stiffness=None"
+                "positions",
+                allowed="positions between them, or stop_stiffness=None",
+                state=f"joints start beyond their limits: {'; '.join(beyond.values())}",
+                noun="positions:",
             )
 
     def _owners(self) -> tuple[dict[str, str], dict[str, Pose]]:
@@ -250,7 +269,12 @@ class _Builder:
             parts.append((part.mass, pose.position + pose.axes @ part.center, pose.axes @ part.inertia @ pose.axes.T))
         mass, center, J = combined_mass(parts)
         if not mass > 0.0:
-            raise InputError(f"link {link!r}, with what is fixed to it, has no mass; allowed: a mass > 0 of what moves")
+            raise InputError(
+                ("links", link),
+                allowed="a mass > 0 of what moves",
+                state="is fixed to it, has no mass",
+                noun=f"link {link!r}, with what",
+            )
         J, possible = _physical(link, J, mass)
         speed = [at.velocity.tolist(), (at.pose.axes.T @ at.spin).tolist()] if self.rate else [None, None]
         inertia = J if possible else np.trace(J) / 3.0 * np.eye(3)
@@ -265,7 +289,7 @@ class _Builder:
                 *speed,
             )
         except InputError as error:
-            raise InputError(f"link {link!r}: {error}") from None
+            raise within(f"link {link!r}", error, "links", link) from None
         if not possible:
             body.inertia.copy_(torch.from_numpy(J))
             self.impossible.append(link)
@@ -382,7 +406,12 @@ def _physical(link: str, J: np.ndarray, mass: float) -> tuple[np.ndarray, bool]:
     """J without negative principal values by rounding, and whether a mass can have it; InputError where J is negative."""
     values, axes = np.linalg.eigh(J)
     if values[0] < -FLAT * mass - 1e-9 * values[2]:
-        raise InputError(f"inertia of link {link!r} has the principal values {values.tolist()}; allowed: none negative")
+        raise InputError(
+            ("links", link, "inertia"),
+            allowed="none negative",
+            state=f"has the principal values {values.tolist()}",
+            noun=f"inertia of link {link!r}",
+        )
     if values[0] < 0.0:
         values = values.clip(0.0)
         J = (axes * values) @ axes.T

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, unknown, warn
+from torchmbd.errors import InputError, unknown, warn, wrong_entry
 from torchmbd.extensions.robots.mjcf_values import ACTUATORS, SHAPES, Attributes, Values, axes_along_z, shape_inertia
 from torchmbd.extensions.robots.tree import (
     IDENTITY,
@@ -55,7 +55,7 @@ def mjcf_robot(path: str | Path) -> Robot:
     """Read a file; the ground is the link "world". InputError names file, element and value."""
     file, root = read_xml(path, "an MJCF")
     if root.tag != "mujoco":
-        raise InputError(f"{file.name}: its root is <{root.tag}>; allowed: <mujoco>")
+        raise wrong_entry(file.name, f"its root is <{root.tag}>", "<mujoco>")
     _include(file, root)
     return _Reader(file.name, root).robot()
 
@@ -74,7 +74,7 @@ def _include(file: Path, root: ET.Element) -> None:
                 name = parent[k].get("file", "")
                 other = (folder / name).resolve()
                 if not other.is_relative_to(folder) or not other.is_file() or other in seen:
-                    raise InputError(f"{file.name}: include {name!r}; allowed: a file of its folder, once")
+                    raise wrong_entry(file.name, f"include {name!r}", "a file of its folder, once", key="include")
                 seen.add(other)
                 size += other.stat().st_size
                 if size > LARGEST:
@@ -94,12 +94,12 @@ class _Reader(Values):
         self.links: list[Link] = [Link("world", 0.0, np.zeros(3), np.zeros((3, 3)))]
         self.joints: list[RobotJoint] = []
         if self.root.find("deformable/flex") is not None:
-            raise InputError(f"{self.file}: <flex> is not read; allowed: rigid bodies")
+            raise wrong_entry(self.file, "<flex> is not read", "rigid bodies", key="flex")
         self.count, self.touching = itertools.count(1), False
         for world in self.root.findall("worldbody"):
             self._children(world, "world", IDENTITY, world.get("childclass", "main"))
         if len(self.links) == 1:
-            raise InputError(f"{self.file}: no <body>; allowed: bodies in <worldbody>")
+            raise wrong_entry(self.file, "no <body>", "bodies in <worldbody>", key="body")
         total, total_mass = (
             sum(link.mass for link in self.links),
             self.number(f"{self.file}, compiler", self.compiler, "settotalmass", "-1"),
@@ -130,11 +130,11 @@ class _Reader(Values):
         for element in parent:
             if element.tag == "frame":
                 if held := {x.tag for x in element} & {"joint", "freejoint", "inertial"}:
-                    raise InputError(f"{self.file}: {sorted(held)} in a <frame>; allowed: in a <body>")
+                    raise wrong_entry(self.file, f"{sorted(held)} in a <frame>", "in a <body>", key="frame")
                 frame = pose @ self.pose(f"{self.file}, frame {element.get('name', '')!r}", element.attrib)
                 yield from self._flat(element, frame, element.get("childclass", inherited))
             elif element.tag not in BODY:
-                raise InputError(f"{self.file}: <{element.tag}> in a body is not read; allowed: {', '.join(BODY)}")
+                raise wrong_entry(self.file, f"<{element.tag}> in a body is not read", f"{', '.join(BODY)}")
             else:
                 yield element, pose, inherited
 
@@ -158,7 +158,9 @@ class _Reader(Values):
             share = 1.0 if last else TINY
             made = self._joint(joint, default, parent, child, origin, unnamed)
             if made.kind == "floating" and (len(joints) > 1 or parent != "world"):
-                raise InputError(f"{where}: a free joint among others or below a body; allowed: alone, in <worldbody>")
+                raise wrong_entry(
+                    where, "a free joint among others or below a body", "alone, in <worldbody>", key="freejoint"
+                )
             self.joints.append(made)
             self.links.append(Link(child, share * mass, center, share * inertia))
             parent, origin = child, IDENTITY
@@ -180,7 +182,9 @@ class _Reader(Values):
         friction = self.number(where, attributes, "frictionloss")
         losses = [dampers[0], friction, springs[0]]
         if min(losses) < 0.0:
-            raise InputError(f"{where}: damping, frictionloss, stiffness are {losses}; allowed: zero or positive")
+            raise wrong_entry(
+                where, f"damping, frictionloss, stiffness are {losses}", "zero or positive", key="damping"
+            )
         for key in ("armature", "springdamper", "actuatorfrcrange"):
             if any(self.numbers(where, attributes, key, "0")):
                 self.note_omitted(f"{key} of joints", name)
@@ -231,7 +235,7 @@ class _Reader(Values):
         inertial = inertials[0].attrib
         pose, mass = self.pose(f"{where}, inertial", inertial), self.number(f"{where}, inertial", inertial, "mass", "")
         if mass < 0.0:
-            raise InputError(f"{where}, inertial: mass is {mass:g}; allowed: zero or positive")
+            raise wrong_entry(f"{where}, inertial", f"mass is {mass:g}", "zero or positive", key="mass")
         if "fullinertia" in inertial:
             xx, yy, zz, xy, xz, yz = self.numbers(f"{where}, inertial", inertial, "fullinertia", "", 6)
             J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -253,9 +257,11 @@ class _Reader(Values):
                 (str(where), "shellinertia"), shell, "'false', or <inertial> in the body", noun=f"{where}: shellinertia"
             )
         if kind not in SHAPES or "mesh" in attributes:
-            raise InputError(
-                f"{where}: type {'mesh' if 'mesh' in attributes else kind!r} gives no inertia here; "
-                f"allowed: {', '.join(SHAPES)}, or <inertial> in the body"
+            raise wrong_entry(
+                where,
+                f"type {('mesh' if 'mesh' in attributes else kind)!r} gives no inertia here",
+                f"{', '.join(SHAPES)}, or <inertial> in the body",
+                key="type",
             )
         size, pose = self.numbers(where, attributes, "size", ""), self.pose(where, attributes)
         if "fromto" in attributes and kind != "sphere":
@@ -331,7 +337,9 @@ class _Reader(Values):
             )
         follower = joints[names[0]]
         if follower.mimics is not None:
-            raise InputError(f"{where}: joint1 = {names[0]!r} follows two joints. Try: one <joint> for each joint1")
+            raise wrong_entry(
+                where, f"joint1 = {names[0]!r} follows two joints", key="joint1", hint="one <joint> for each joint1"
+            )
         constant, ratio = ([*terms, 0.0, 0.0])[:2]
         if len(names) == 1:
             mimic = Mimic("", 0.0, follower.start + constant)

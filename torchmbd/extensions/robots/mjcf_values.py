@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, unknown, wrong_entry
 from torchmbd.extensions.robots.mjcf_words import KNOWN, SECTIONS
 from torchmbd.extensions.robots.tree import Pose, numbers, rotation
 
@@ -37,14 +37,16 @@ class Values:
         )
         for key, allowed in COMPILER.items():
             if (value := self.compiler.get(key, allowed)) != allowed:
-                raise InputError(f"{file}, compiler: {key} is {value!r}; allowed: {allowed!r}")
+                raise InputError((file, "compiler", key), value, repr(allowed), noun=f"{file}, compiler: {key}")
         for key in ("passive", "spring", "damper", "actuation"):
             if self.is_disabled(key):
-                raise InputError(f"{file}, option: flag {key} is 'disable'; allowed: 'enable'")
+                raise InputError((file, "option", key), "disable", "'enable'", noun=f"{file}, option: flag {key}")
         self.angle = 1.0 if self.compiler.get("angle") == "radian" else math.pi / 180.0
         self.sequence = self.compiler.get("eulerseq", "xyz")
         if len(self.sequence) != 3 or set(self.sequence.lower()) - set("xyz"):
-            raise InputError(f"{file}, compiler: eulerseq is {self.sequence!r}; allowed: three of xyz, XYZ")
+            raise InputError(
+                (file, "compiler", "eulerseq"), self.sequence, "three of xyz, XYZ", noun=f"{file}, compiler: eulerseq"
+            )
         self.classes: dict[str, dict[str, Attributes]] = {"main": {}}
         self.omitted: dict[str, list[str]] = {}
         for element in root:
@@ -67,7 +69,7 @@ class Values:
     def add_defaults(self, element: ET.Element, parent: str | None) -> None:
         name = "main" if parent is None else element.get("class", "")
         if not name:
-            raise InputError(f"{self.file}: a <default> in another has no class")
+            raise wrong_entry(self.file, "a <default> in another has no class", key="default")
         defaults = self.classes[name] = {tag: dict(x) for tag, x in self.classes[parent or "main"].items()}
         for child in element:
             if child.tag != "default":

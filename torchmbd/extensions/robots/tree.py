@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, unknown, wrong_entry
 
 LARGEST = 20_000_000  # bytes
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -178,7 +178,7 @@ def read_xml(path: str | Path, what: str) -> tuple[Path, ET.Element]:
     try:
         return file, ET.fromstring(text)
     except (ET.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"{file.name}: {error}; allowed: XML") from None
+        raise wrong_entry(file.name, f"{error}", "XML") from None
 
 
 def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJoint], hint: str = "") -> Robot:
@@ -189,13 +189,13 @@ def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJ
             if link not in links:
                 raise unknown(f"{file}, joint {joint.name!r}: link", link, links)
         if joint.child in parents:
-            raise InputError(f"{file}: link {joint.child!r} is the child of two joints; allowed: a tree")
+            raise wrong_entry(file, f"link {joint.child!r} is the child of two joints", "a tree")
         parents[joint.child] = joint.parent
     roots = [link for link in links if link not in parents]
     if not links:
-        raise InputError(f"{file}: no <link>; allowed: a robot of links{hint}")
+        raise wrong_entry(file, "no <link>", f"a robot of links{hint}", key="link")
     if len(roots) != 1:
-        raise InputError(f"{file}: links {roots} have no parent; allowed: one root, all others joined to it")
+        raise wrong_entry(file, f"links {roots} have no parent", "one root, all others joined to it", key="link")
     ordered, reached = [], [roots[0]]
     by_parent: dict[str, list[RobotJoint]] = {}
     for joint in joints:
@@ -205,7 +205,7 @@ def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJ
             ordered.append(joint)
             reached.append(joint.child)
     if len(reached) < len(links):
-        raise InputError(f"{file}: links {sorted(links.keys() - set(reached))[:8]} form a loop; allowed: a tree")
+        raise wrong_entry(file, f"links {sorted(links.keys() - set(reached))[:8]} form a loop", "a tree", key="link")
     return Robot(name, links, ordered, roots[0])
 
 
@@ -214,7 +214,7 @@ def by_unique_name(file: str, kind: str, items: Iterable[Any]) -> dict[str, Any]
     entries: dict[str, Any] = {}
     for x in items:
         if x.name in entries:
-            raise InputError(f"{file}: {kind} {x.name!r} stands twice")
+            raise InputError((file, kind, x.name), rule="stands twice", noun=f"{file}: {kind} {x.name!r}")
         entries[x.name] = x
     return entries
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchmbd.errors import InputError, unknown, warn
+from torchmbd.errors import InputError, unknown, warn, wrong_entry
 from torchmbd.extensions.robots.tree import (
     Link,
     Mimic,
@@ -43,7 +43,7 @@ def urdf_robot(path: str | Path) -> Robot:
     """Read a robot. InputError names file, element and value."""
     file, root = read_xml(path, "a URDF")
     if root.tag != "robot":
-        raise InputError(f"{file.name}: its root is <{root.tag}>; allowed: <robot> (expand a xacro file first)")
+        raise wrong_entry(file.name, f"its root is <{root.tag}>", "<robot> (expand a xacro file first)")
     for element in root.iter():
         if "xacro" in element.tag:
             raise InputError(file.name, allowed="plain URDF (expand a xacro file first)", state=f"has <{element.tag}>")
@@ -64,7 +64,9 @@ def _check_parts(file: str, root: ET.Element) -> None:
         twice = [tag for tag in _ONCE if tags.count(tag) > 1]
         if twice:
             raise InputError(
-                f"{file}, <{element.tag}> {element.get('name', '')!r}: <{twice[0]}> stands twice; allowed: once"
+                (file, element.tag, twice[0]),
+                rule="stands twice; allowed: once",
+                noun=f"{file}, <{element.tag}> {element.get('name', '')!r}: <{twice[0]}>",
             )
         for tag in set(tags) - set(_PARTS[element.tag].split()):
             if isinstance(tag, str):
@@ -77,9 +79,16 @@ def _check_parts(file: str, root: ET.Element) -> None:
 def _named(file: str, element: ET.Element) -> str:
     name = element.get("name")
     if not name:
-        raise InputError(f"{file}: a <{element.tag}> has no name")
+        raise InputError(
+            (file, element.tag, "name"), allowed="a name", noun=f"{file}: a <{element.tag}>", state="has no name"
+        )
     if "${" in name or "$(" in name:
-        raise InputError(f"{file}: <{element.tag}> {name!r}; allowed: plain names (expand a xacro file first)")
+        raise InputError(
+            (file, element.tag, "name"),
+            name,
+            "plain names (expand a xacro file first)",
+            noun=f"{file}: name of <{element.tag}>",
+        )
     return name
 
 
@@ -153,7 +162,7 @@ def _joint(file: str, element: ET.Element) -> RobotJoint:
             limits = None
     losses = [_number(where, dynamics, key, 0.0) for key in ("damping", "friction")]
     if min(losses) < 0.0:
-        raise InputError(f"{where}: damping, friction are {losses}; allowed: zero or positive")
+        raise wrong_entry(where, f"damping, friction are {losses}", "zero or positive", key="damping")
     origin = _pose(where, element.find("origin"))
     mimics = None if kind == "fixed" else _mimic(where, element.find("mimic"))
     return RobotJoint(
@@ -165,6 +174,8 @@ def _mimic(where: str, element: ET.Element | None) -> Mimic | None:
     if element is None:
         return None
     if not element.get("joint"):
-        raise InputError(f"{where}: joint of <mimic> is missing. Try: <mimic joint=... multiplier=... offset=...>")
+        raise wrong_entry(
+            where, "joint of <mimic> is missing", key="mimic", hint="<mimic joint=... multiplier=... offset=...>"
+        )
     ratio, offset = (_number(where, element, key, x) for key, x in (("multiplier", 1.0), ("offset", 0.0)))
     return Mimic(element.get("joint", ""), ratio, offset)

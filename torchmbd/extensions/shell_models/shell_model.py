@@ -53,11 +53,21 @@ class ShellModel:
     def of(cls, body: FlexibleBody) -> ShellModel:
         """Make the model; InputError for a body that has more than laminated shells."""
         if body.given_structure is not None or not body.plates:
-            raise InputError(f"body {body.name!r} has no shells: must be made of laminates. Try: body.save_matrices")
+            raise InputError(
+                (body.name,),
+                rule="has no shells: must be made of laminates",
+                hint="body.save_matrices",
+                noun=f"body {body.name!r}",
+            )
         others = body.parts.keys() - body.plates.keys()
         if others or body.links:
             names = ", ".join(sorted(others)) or "rigid or linked nodes"
-            raise InputError(f"body {body.name!r} has {names}: must be made of shells alone. Try: body.save_matrices")
+            raise InputError(
+                (body.name,),
+                rule=f"has {names}: must be made of shells alone",
+                hint="body.save_matrices",
+                noun=f"body {body.name!r}",
+            )
         mesh = body.mesh
         cells = [*mesh.triangles.tolist(), *mesh.quads.tolist()]
         stack, axes = np.full(len(cells), -1), np.zeros((len(cells), 3, 3))
@@ -66,11 +76,19 @@ class ShellModel:
         for k, (name, part) in enumerate(body.plates.items()):
             members = part.matrices.members.numpy()
             if bool((stack[members] >= 0).any()):
-                raise InputError(f"part {name!r} of {body.name!r} shares cells with another part: must have its own")
+                raise InputError(
+                    (body.name, name),
+                    rule="shares cells with another part: must have its own",
+                    noun=f"part {name!r} of {body.name!r}",
+                )
             stack[members], axes[members] = k, part.matrices.axes.numpy()
             stacks.append(_stack(f"{body.name}.{name}", name, part.laminates[0], materials))
         if bool((stack < 0).any()):
-            raise InputError(f"body {body.name!r} has cells without a laminate: must have a laminate for each cell")
+            raise InputError(
+                (body.name,),
+                rule="has cells without a laminate: must have a laminate for each cell",
+                noun=f"body {body.name!r}",
+            )
         return cls(
             body.name, mesh.nodes.numpy(), cells, stack, axes, stacks, list(materials.values()), list(body.reference)
         )
@@ -80,9 +98,11 @@ def _stack(full_name: str, name: str, laminate: Laminate, materials: dict[Any, P
     """The stack of a laminate; its plies are entered into `materials` by their numbers."""
     if type(laminate) is not Laminate or laminate.field is not None:
         kind = type(laminate).__name__
-        raise InputError(f"{full_name} is a {kind} or varies over the mesh: must be a mbd.Laminate of plies")
+        raise InputError((full_name,), rule=f"is a {kind} or varies over the mesh: must be a mbd.Laminate of plies")
     if laminate.angles.dim() > 1:
-        raise InputError(f"{full_name} has {laminate.angles.shape[0]} designs at once: must be one. Try: one design")
+        raise InputError(
+            (full_name,), rule=f"has {laminate.angles.shape[0]} designs at once: must be one", hint="one design"
+        )
     numbers = []
     for layer in laminate.layer_plies:
         ply = _constant(layer)

@@ -89,7 +89,7 @@ def campbell(
     [1.59, 1.59, 1.59]
     """
     if not isinstance(system, System):
-        raise InputError(f"campbell of {system!r}; allowed: a System")
+        raise InputError("system", system, "a System")
     if not is_whole(modes) or modes < 1:
         raise InputError("modes", modes, "1, 2, ...")
     shaft = Shaft(axis, center, observer)

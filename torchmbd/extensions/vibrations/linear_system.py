@@ -138,7 +138,12 @@ def linearize(
         k = time_index(state, time)
         q = state.q[lane, k].detach()[:, None, None]
         if q.shape[0] != dynamics.topology.n_q:
-            raise InputError(f"state has coordinates {list(q.shape[:1])} that are not those of the system")
+            raise InputError(
+                "state",
+                list(q.shape[:1]),
+                rule=f"has coordinates {list(q.shape[:1])} that are not those of the system",
+                shown="",
+            )
         if isinstance(state, Equilibrium):
             if coordinates is not None:
                 raise InputError(

@@ -48,7 +48,11 @@ class LayerArcs:
                 return self.layer(fixed, other, position, profile, depth + 1)
             if fixed is not None:
                 raise InputError(
-                    f"{side}_nd_arc of layer {name!r} is fixed at {fixed!r}; allowed: TE, or the name of a layer"
+                    (name, f"{side}_nd_arc"),
+                    fixed,
+                    "TE, or the name of a layer",
+                    state=f"is fixed at {fixed!r}",
+                    noun=f"{side}_nd_arc of layer {name!r}",
                 )
             return span_values(f"{side}_nd_arc of {name}", arc)(position)
         if "width" not in layer or depth > len(self._layers):
@@ -88,7 +92,10 @@ class AnchorArcs:
             defines = anchor.get("width", {}).get("defines", [])
             if not isinstance(defines, list):
                 raise InputError(
-                    f"defines in width of anchor {name!r} = {defines!r}: must be a list of {', '.join(_HANDLES)}"
+                    (name, "defines"),
+                    defines,
+                    rule=f"must be a list of {', '.join(_HANDLES)}",
+                    noun=f"defines in width of anchor {name!r}",
                 )
 
     def web(self, name: str, side: str, position: float, profile: Profile) -> float:
@@ -102,7 +109,7 @@ class AnchorArcs:
     def _end(self, owner: str, entry: Mapping[str, Any], side: str, position: float, profile: Profile) -> float:
         key = f"{side}_nd_arc"
         if key not in entry:
-            raise InputError(f"{owner} has no {key}: must refer to an anchor")
+            raise InputError((owner, key), rule="must refer to an anchor")
         anchor, handle = _reference(f"{key} of {owner}", entry[key])
         return self._handle(f"{key} of {owner}", anchor, handle, position, profile, ())
 
@@ -113,17 +120,22 @@ class AnchorArcs:
         for side, expected in TRAILING_EDGE.items():
             entry = f"{side}_nd_arc of layer {name!r}"
             if f"{side}_nd_arc" not in layer:
-                raise InputError(f"{entry} is missing: must refer to an anchor of web {layer['web']!r}")
+                raise InputError((entry,), rule=f"is missing: must refer to an anchor of web {layer['web']!r}")
             anchor, handle = _reference(entry, layer[f"{side}_nd_arc"])
             if anchor not in anchors:
-                raise unknown(f"anchor of {entry}:", anchor, anchors)
+                raise unknown((entry, "anchor"), anchor, anchors)
             if handle not in anchors[anchor]:
-                raise InputError(f"anchor {anchor!r} of web {layer['web']!r} has no {handle}")
+                raise InputError(
+                    (anchor, handle), rule=f"has no {handle}", noun=f"anchor {anchor!r} of web {layer['web']!r}"
+                )
             at = span_values(f"{handle} of anchor {anchor!r}", anchors[anchor][handle])(position)
             if abs(at - expected) > _ROUNDING:
                 raise InputError(
-                    f"{entry} = {at:g} at {position:g}: must be {expected:g}, because a layer covers its whole web. "
-                    "Try: a web for each part"
+                    (entry,),
+                    at,
+                    rule=f"must be {expected:g} at {position:g}, because a layer covers its whole web",
+                    shown=f"{at:g}",
+                    hint="a web for each part",
                 )
 
     def _handle(
@@ -137,11 +149,17 @@ class AnchorArcs:
     ) -> float:
         """Return the position of an anchor's handle; `through` has the handles whose positions need it."""
         if name not in self._anchors:
-            raise unknown(f"anchor of {owner}:", name, self._anchors)
+            raise unknown((owner, "anchor"), name, self._anchors)
         if handle not in _HANDLES:
-            raise InputError(f"handle of {owner} = {handle!r}: must be one of {', '.join(_HANDLES)}")
+            raise InputError(
+                (owner, "handle"), handle, rule=f"must be one of {', '.join(_HANDLES)}", noun=f"handle of {owner}"
+            )
         if (name, handle) in through:
-            raise InputError(f"{handle} of anchor {name!r} refers to itself: must have numbers along the span")
+            raise InputError(
+                (name, handle),
+                rule="refers to itself: must have numbers along the span",
+                noun=f"{handle} of anchor {name!r}",
+            )
         anchor, through, entry = self._anchors[name], (*through, (name, handle)), f"{handle} of anchor {name!r}"
 
         def other(reference: Any) -> float:
@@ -164,8 +182,11 @@ class AnchorArcs:
                 beside = f"{_OTHER[side]}_nd_arc"
             return profile.off_edge(self._handle(entry, name, beside, position, profile, through)) + _SIGN[side] * share
         raise InputError(
-            f"anchor {name!r} has no {handle}: must have numbers along the span, or width, offset_arc or offset_nd_arc; "
-            "plane_intersection is not computed. Try: the converter or the optimization tool that writes them"
+            (name, handle),
+            rule=f"has no {handle}: must have numbers along the span, or width, offset_arc or offset_nd_arc; "
+            "plane_intersection is not computed",
+            hint="the converter or the optimization tool that writes them",
+            noun=f"anchor {name!r}",
         )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from torchmbd.errors import InputError, unknown, warn
+from torchmbd.errors import InputError, unknown, warn, within
 from torchmbd.extensions.windio.contours import Contours
 from torchmbd.extensions.windio.profile import NARROWEST, Layer, Profile, Web, profile_section
 from torchmbd.extensions.windio.span_values import span_values
@@ -76,9 +76,9 @@ class WindIOBlade:
             self._arcs, self._angle = read.arcs, read.angle
             for name, layer in self._layers.items():
                 if "web" in layer and layer["web"] not in self._webs:
-                    raise unknown(f"web of layer {name!r}:", layer["web"], self._webs)
+                    raise unknown((name, "web"), layer["web"], self._webs)
         except InputError as error:
-            raise InputError(f"{path.name}: {error}") from None
+            raise within(path.name, error) from None
         except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise InputError(
                 path.name,
@@ -119,7 +119,7 @@ class WindIOBlade:
         try:
             return self._section(position, cells, order)
         except InputError as error:
-            raise InputError(f"{self._file}: {error}") from None
+            raise within(self._file, error) from None
 
     def _section(self, position: float, cells: int, order: int) -> Section:
         profile = self._profile(position)
@@ -127,7 +127,13 @@ class WindIOBlade:
         for number, (name, layer) in enumerate(self._layers.items()):
             thickness = span_values(f"thickness of {name}", layer["thickness"])(position, 0.0)
             if thickness < 0.0:
-                raise InputError(f"thickness of {name} at {position:g} is {thickness:g} m; allowed: zero or above")
+                raise InputError(
+                    (name, "thickness"),
+                    thickness,
+                    "zero or above",
+                    state=f"is {thickness:g} m",
+                    noun=f"thickness of {name} at {position:g}",
+                )
             if thickness < THIN:
                 continue
             if "web" in layer:
@@ -161,7 +167,7 @@ class WindIOBlade:
         """Return the contour [m] about the reference axis."""
         chord = self._shape["chord"](position)
         if not chord > 0.0:
-            raise InputError(f"chord at {position:g} is {chord:g} m; allowed: above 0")
+            raise InputError("chord", chord, "above 0", state=f"is {chord:g} m", noun=f"chord at {position:g}")
         x, y = self.contour(position).T
         return Profile(chord * np.stack([y, x], 1) + self._offset(position, chord))
 
@@ -181,7 +187,9 @@ class WindIOBlade:
                 *map(float, (*material["E"], *material["G"], *material["nu"])), density=float(material["rho"])
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"material {name!r}: {error!r}; allowed: E, G, nu, rho") from None
+            raise InputError(
+                ("materials", name), allowed="E, G, nu, rho", noun=f"material {name!r}", state=f": {error!r}"
+            ) from None
 
 
 def _error_text(error: Exception) -> str:

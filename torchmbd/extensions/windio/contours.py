@@ -51,12 +51,14 @@ class Contours:
         if thickness is not None:
             self._relative = span_values("rthick", thickness)
         elif positions is None:
-            raise InputError("airfoils have neither spanwise_position nor rthick: must have one of them")
+            raise InputError("airfoils", rule="have neither spanwise_position nor rthick: must have one of them")
         steps = np.diff(self._thicknesses)
         if positions is None and not ((steps <= 0.0).all() or (steps >= 0.0).all()):
             raise InputError(
-                "airfoils without spanwise_position have relative thicknesses that rise and fall: must do one along the span. "
-                "Try: spanwise_position"
+                "airfoils",
+                rule="have relative thicknesses that rise and fall: must do one along the span",
+                hint="spanwise_position",
+                noun="airfoils without spanwise_position",
             )
 
     def __call__(self, position: float) -> Array:
@@ -82,7 +84,11 @@ class Contours:
         outside = np.maximum(np.maximum(low - relative, relative - high), 0.0)
         if outside.min() > _ROUNDING:
             raise InputError(
-                f"rthick at {position:g} is {relative:g}: must be from {low.min():g} to {high.max():g}, as airfoils are"
+                "rthick",
+                relative,
+                rule=f"is {relative:g}: must be from {low.min():g} to {high.max():g}, as airfoils are",
+                shown="",
+                noun=f"rthick at {position:g}",
             )
         near = outside <= outside.min() + _ROUNDING * 1e-6
         if self._grid is None:
@@ -105,7 +111,10 @@ def _resampled(name: str, coordinates: Mapping[str, Any]) -> Array:
     points = np.stack(rows, 1)
     if len(np.unique(points[:, 0])) < 3 or points[:, 0].argmin() in (0, len(points) - 1):
         raise InputError(
-            f"coordinates of airfoil {name!r} do not run around it; allowed: from the trailing edge and back"
+            ("airfoils", name, "coordinates"),
+            allowed="from the trailing edge and back",
+            noun=f"coordinates of airfoil {name!r}",
+            state="do not run around it",
         )
     nose = int(points[:, 0].argmin())
     halves = [points[: nose + 1], points[nose:][::-1]]

@@ -35,7 +35,7 @@ def span_values(name: str, table: Mapping[str, Any], unit: float = 1.0) -> SpanV
     try:
         grid, values = (np.array(table[key], dtype=float) for key in ("grid", "values"))
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{name}: {error!r}; allowed: grid and values, numbers") from None
+        raise InputError((name,), allowed="grid and values, numbers", noun=f"{name}:", state=f"{error!r}") from None
     if grid.ndim != 1 or grid.shape != values.shape or len(grid) < 1 or not (np.diff(grid) >= 0.0).all():
         first = np.atleast_1d(grid).tolist()[:5]
         raise InputError(name, allowed="as many, rising", state=f"has grid {first} and {values.size} values")

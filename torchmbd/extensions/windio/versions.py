@@ -69,11 +69,11 @@ def entries(data: Mapping[str, Any]) -> Entries:
         raise InputError("windIO_version", stated, rule="must be 1 or 2, such as 2.0")
     if stated is None and "outer_shape_bem" not in blade and "outer_shape" in blade:
         raise InputError(
-            "windIO_version is missing: must be 2 where the blade has an outer_shape. Try: windIO_version: 2.0"
+            "windIO_version", rule="must be 2 where the blade has an outer_shape", hint="windIO_version: 2.0"
         )
     for key in _KEYS[number[1]]:
         if key not in blade:
-            raise InputError(f"blade has no {key}: must have it in version {number[1]} of windIO")
+            raise InputError(("blade", key), rule=f"must be there in version {number[1]} of windIO")
     if number[1] == "1":
         return _version_1(data, blade)
     if ".".join(version.split(".")[:2]) not in _MINORS:
@@ -148,9 +148,9 @@ def named(kind: str, items: Any, *keys: str) -> dict[str, Any]:
     for entry in items:
         name = entry["name"]
         if name in by_name:
-            raise InputError(f"{kind} {name!r} stands twice")
+            raise InputError((kind, name), rule="must be there once")
         for key in keys:
             if key not in entry:
-                raise InputError(f"{kind} {name!r} has no {key}")
+                raise InputError((kind, name, key), rule="must be there")
         by_name[name] = entry
     return by_name

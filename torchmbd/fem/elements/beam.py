@@ -224,8 +224,10 @@ class BeamMatrices:
             element = int(self.members[k // e_x.shape[-2] % len(self.members)])
             along, across = (untransformed(x).reshape(-1, 3)[k].tolist() for x in (e_x, d.contiguous()))
             raise InputError(
-                f"orientation {across} lies along element {element}, direction {along}; "
-                "allowed: a direction across the beam, to which the section's y-axis is turned"
+                "orientation",
+                allowed="a direction across the beam, to which the section's y-axis is turned",
+                state=f"lies along element {element}, direction {along}",
+                noun=f"orientation {across}",
             )
         e_y = e_y / size
         return torch.stack([e_x, e_y, torch.linalg.cross(e_x, e_y)], dim=-2)
@@ -272,9 +274,11 @@ def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 
         wrong = untransformed(good).flatten().logical_not().nonzero()[0, 0]
         matrix, middle = untransformed(mass).reshape(-1, 6, 6)[wrong], untransformed(center).reshape(-1, 2)[wrong]
         raise InputError(
-            f"mass of section {int(wrong)}: inertias {matrix.diagonal()[3:].tolist()} kg m with its center at "
-            f"{middle.tolist()} m; allowed: inertias of a plane section. The polar one is the sum of the other two, "
-            "and all of them are positive about the center"
+            ("mass", int(wrong)),
+            allowed="inertias of a plane section. The polar one is the sum of the other two, and all of them are "
+            "positive about the center",
+            state=f"inertias {matrix.diagonal()[3:].tolist()} kg m with its center at {middle.tolist()} m",
+            noun=f"mass of section {int(wrong)}:",
         )
     first = (2.0 * yy).sqrt()
     mixed = 2.0 * yz / first

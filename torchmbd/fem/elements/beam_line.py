@@ -44,7 +44,7 @@ class Nodes(nn.Module):
 
     def __init__(self, nodes: nn.Parameter):
         super().__init__()
-        self.nodes = parameter("nodes of a BeamLine", nodes)
+        self.nodes = parameter(("BeamLine", "nodes"), nodes)
 
     def forward(self) -> Tensor:
         return self.nodes
@@ -72,7 +72,7 @@ def evaluate_nodes(shape: nn.Module) -> Tensor:
         nodes = shape()
     if not isinstance(nodes, Tensor) or nodes.dtype != torch.float64 or nodes.ndim != 2 or nodes.shape[1] != 3:
         allowed = "nodes [n, 3] in float64"
-        raise InputError(f"the module of a BeamLine returns {nodes!r}; allowed: {allowed}")
+        raise InputError("nodes", allowed=allowed, state=f"returns {nodes!r}", noun="the module of a BeamLine")
     return nodes.detach().clone()
 
 
@@ -123,7 +123,7 @@ class BeamLine:
         )
         self.variables = ParameterVector.of(self.node_module)
         numbers: Any = nodes if self.node_module is None else evaluate_nodes(self.node_module)
-        self.nodes = reals("nodes of a BeamLine", numbers)
+        self.nodes = reals(("BeamLine", "nodes"), numbers)
         if self.node_module is not None and middles is not None:
             raise InputError(
                 "nodes",
@@ -134,9 +134,9 @@ class BeamLine:
             )
         _check_nodes(self.nodes)
         chain = np.array(list(pairwise(range(len(self.nodes)))))
-        self.elements = indices("elements of a BeamLine", chain if elements is None else elements)
+        self.elements = indices(("BeamLine", "elements"), chain if elements is None else elements)
         _check_elements(self.nodes, self.elements)
-        self.middles = None if middles is None else reals("middles of a BeamLine", middles)
+        self.middles = None if middles is None else reals(("BeamLine", "middles"), middles)
         if self.middles is not None:
             _check_middles(self.nodes[self.elements], self.middles)
         if node_sets is None:
@@ -147,7 +147,13 @@ class BeamLine:
         for name, members in self.node_sets.items():
             for k in members:
                 if not 0 <= k < len(self.nodes):
-                    raise InputError(f"BeamLine: node_sets[{name!r}] has node {k}; allowed: 0 to {len(self.nodes) - 1}")
+                    raise InputError(
+                        ("node_sets", name),
+                        k,
+                        f"0 to {len(self.nodes) - 1}",
+                        state=f"has node {k}",
+                        noun=f"BeamLine: node_sets[{name!r}]",
+                    )
 
     @classmethod
     @constant_arguments
@@ -208,7 +214,13 @@ class BeamLine:
         """Return the index of a named single node."""
         members = self.node_set(name)
         if len(members) != 1:
-            raise InputError(f"BeamLine: node set {name!r} has {len(members)} nodes; a single named node is needed")
+            raise InputError(
+                "node",
+                name,
+                rule=f"has {len(members)} nodes; a single named node is needed",
+                shown="",
+                noun=f"BeamLine: node set {name!r}",
+            )
         return members[0]
 
     def node_set(self, name: str) -> tuple[int, ...]:
@@ -225,10 +237,20 @@ def _check_nodes(nodes: Tensor) -> None:
         )
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
-        raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
+        raise InputError(
+            ("nodes", int(bad[0])),
+            nodes[bad[0]].tolist(),
+            "finite coordinates",
+            state=f"is at {nodes[bad[0]].tolist()}",
+            noun=f"BeamLine: node {int(bad[0])}",
+        )
     warn_unusual("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT)
     for first, k in repeated_rows(nodes.numpy()):
-        raise InputError(f"BeamLine: nodes {first} and {k} share one place {nodes[k].tolist()}; merge them")
+        raise InputError(
+            ("nodes", k),
+            rule=f"share one place {nodes[k].tolist()}; merge them",
+            noun=f"BeamLine: nodes {first} and {k}",
+        )
 
 
 def _check_elements(nodes: Tensor, elements: Tensor) -> None:
@@ -244,20 +266,34 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
     bad = ((elements < 0) | (elements >= n)).any(dim=1).nonzero().flatten()
     if len(bad):
         raise InputError(
-            f"BeamLine: element {int(bad[0])} has nodes {elements[bad[0]].tolist()}; allowed: 0 to {n - 1}"
+            ("elements", int(bad[0])),
+            allowed=f"0 to {n - 1}",
+            state=f"has nodes {elements[bad[0]].tolist()}",
+            noun=f"BeamLine: element {int(bad[0])}",
         )
     for first, k in repeated_rows(np.sort(elements.numpy(), axis=1)):
-        raise InputError(f"BeamLine: elements {first} and {k} are duplicates, nodes {elements[k].tolist()}")
+        raise InputError(
+            ("elements", k),
+            rule=f"are duplicates, nodes {elements[k].tolist()}",
+            noun=f"BeamLine: elements {first} and {k}",
+        )
     length = (nodes[elements[:, 1]] - nodes[elements[:, 0]]).norm(dim=1)
     short = (length <= 1e-9 * length.max()).nonzero().flatten()
     if len(short):
         k = int(short[0])
-        raise InputError(f"BeamLine: element {k}, nodes {elements[k].tolist()}, has no length; merge its nodes")
+        raise InputError(
+            ("elements", k),
+            rule="has no length; merge its nodes",
+            noun=f"BeamLine: element {k}, nodes {elements[k].tolist()},",
+        )
     tail, head = elements.numpy().T
     parts, stray = connected_parts(tail, head, n)
     if parts > 1:
         raise InputError(
-            f"BeamLine: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
+            "elements",
+            allowed="one",
+            state="is not connected with node 0)",
+            noun=f"BeamLine: {parts} disconnected parts (node {stray}",
         )
 
 
@@ -277,6 +313,9 @@ def _check_middles(ends: Tensor, middles: Tensor) -> None:
     if len(wrong):
         k = int(wrong[0])
         raise InputError(
-            f"BeamLine: middle of element {k} is at {middles[k].tolist()}; allowed: as far from its start as from its end, "
-            "on an arc of at most half a turn"
+            ("middles", k),
+            middles[k].tolist(),
+            "as far from its start as from its end, on an arc of at most half a turn",
+            state=f"is at {middles[k].tolist()}",
+            noun=f"BeamLine: middle of element {k}",
         )

@@ -77,10 +77,10 @@ class GivenSection(nn.Module):
         K, M = (entries.numbers for entries in self._entries)
         varying = isinstance(stiffness, nn.Parameter)
         self.matrix = (
-            parameter("stiffness of a section", stiffness) if varying else nn.Parameter(K, requires_grad=False)
+            parameter(("section", "stiffness"), stiffness) if varying else nn.Parameter(K, requires_grad=False)
         )
         if isinstance(mass, nn.Parameter):
-            self.inertia = parameter("mass of a section", mass)
+            self.inertia = parameter(("section", "mass"), mass)
         else:
             self.register_buffer("inertia", M, persistent=False)
 
@@ -150,8 +150,10 @@ class _VaryingEntries:
             if entries.get((j, i)) is not x:
                 place, other = f"{i + 1},{j + 1}", f"{j + 1},{i + 1}"
                 raise InputError(
-                    f"{label} of a section: entry {place} is a variable, and entry {other} is not the same one; allowed: one "
-                    "variable in both places"
+                    (label,),
+                    allowed="one variable in both places",
+                    state=f"is a variable, and entry {other} is not the same one",
+                    noun=f"{label} of a section: entry {place}",
                 )
         plain = [[number(x) for x in row] for row in rows] if entries else matrix
         self.numbers = checked(label, plain.detach() if isinstance(plain, nn.Parameter) else plain)
@@ -263,7 +265,11 @@ def definite_stiffness(section: BeamSection) -> Float[Tensor, "*lanes 6 6"]:
     if not all_true(good):
         lane = int(good.flatten().logical_not().nonzero()[0])
         where = f" in lane {lane}" * (good.numel() > 1)
-        raise InputError(f"stiffness of a section is not positive definite{where}: it does no work in some motion")
+        raise InputError(
+            "stiffness",
+            rule=f"is not positive definite{where}: it does no work in some motion",
+            noun="stiffness of a section",
+        )
     return S
 
 
@@ -289,7 +295,7 @@ def _matrix(rows: Sequence[Sequence[Tensor]]) -> Tensor:
 
 def checked(name: str, matrix: Sequence | Tensor) -> Tensor:
     """Read a symmetric positive definite 6 x 6 matrix; InputError names the entry or the eigenvalue."""
-    refuse_gradients(f"{name} of a section", matrix, "a 6 x 6 matrix")
+    refuse_gradients(("section", name), matrix, "a 6 x 6 matrix")
     try:
         A = torch.as_tensor(matrix, dtype=torch.float64).detach().clone()
     except (TypeError, ValueError, RuntimeError) as error:
@@ -305,12 +311,21 @@ def checked(name: str, matrix: Sequence | Tensor) -> Tensor:
     diagonal = A.diagonal()
     if not (diagonal > 0).all():
         k = int((~(diagonal > 0)).nonzero()[0])
-        raise InputError(f"{name} of a section: entry {k + 1},{k + 1} is {float(diagonal[k])!r}; allowed: > 0")
+        raise InputError(
+            (name, k + 1, k + 1), float(diagonal[k]), "> 0", noun=f"{name} of a section: entry {k + 1},{k + 1}"
+        )
     unit = A / (diagonal[:, None] * diagonal).sqrt()
     if float((unit - unit.T).abs().max()) > 1e-6:
         i, j = divmod(int((unit - unit.T).abs().argmax()), 6)
         pair = (float(A[i, j]), float(A[j, i]))
-        raise InputError(f"{name} of a section: entries {i + 1},{j + 1} and {j + 1},{i + 1} are {pair}; allowed: equal")
+        raise InputError(
+            (name, i + 1, j + 1),
+            allowed="equal",
+            state=f"are {pair}",
+            noun=f"{name} of a section: entries {i + 1},{j + 1} and {j + 1},{i + 1}",
+        )
     if not float(torch.linalg.eigvalsh(unit).min()) > 1e-12:
-        raise InputError(f"{name} of a section is not positive definite: it does no work in some motion")
+        raise InputError(
+            name, rule="is not positive definite: it does no work in some motion", noun=f"{name} of a section"
+        )
     return (A + A.T) / 2

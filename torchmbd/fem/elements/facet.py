@@ -94,8 +94,10 @@ def _axes(mesh: Mesh, cells: Tensor, e3: Tensor, d: Tensor) -> Float[Tensor, "m 
     if len(steep):
         k = int(steep[0])
         raise InputError(
-            f"direction {d[k].tolist()} has no projection into {mesh.cell_name(int(cells[k]))}, normal {e3[k].tolist()}; "
-            "allowed: a direction that is not normal to any cell (or one for each cell)"
+            "direction",
+            allowed="a direction that is not normal to any cell (or one for each cell)",
+            state=f"has no projection into {mesh.cell_name(int(cells[k]))}, normal {e3[k].tolist()}",
+            noun=f"direction {d[k].tolist()}",
         )
     e1 = e1 / e1.norm(dim=1, keepdim=True)
     return torch.stack([e1, torch.linalg.cross(e3, e1), e3], dim=1)

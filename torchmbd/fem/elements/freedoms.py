@@ -181,6 +181,9 @@ def _check_means(held: list[int], links: Sequence[Follower], means: Sequence[Mea
         for k in mean.nodes:
             if k in taken:
                 raise InputError(
-                    f"node {k} of a mean motion {taken[k]}; allowed: nodes that are neither held nor linked"
+                    ("means", k),
+                    allowed="nodes that are neither held nor linked",
+                    noun=f"node {k} of a mean motion",
+                    state=taken[k],
                 )
             taken[k] = "is in another mean motion"

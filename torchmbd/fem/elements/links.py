@@ -112,19 +112,30 @@ def link_entries(x: Float[Tensor, "n 3"], links: Sequence[Follower]) -> Entries:
 def check_links(n: int, held: list[int], links: Sequence[Follower]) -> None:
     for k in (*held, *(k for link in links for k in (link.node, *link.nodes))):
         if not 0 <= k < n:
-            raise InputError(f"a link or a held node is {k}; allowed: 0 to {n - 1}")
+            raise InputError("links", allowed=f"0 to {n - 1}", state=f"is {k}", noun="a link or a held node")
     taken: set[int] = set()
     for link in links:
         k, components = link.node, link.components
         if not components or not set(components) <= set(ALL) or len(set(components)) < len(components):
-            raise InputError(f"components of the link of node {k} are {components}; allowed: different ones of 0 to 5")
+            raise InputError(
+                ("links", k),
+                components,
+                "different ones of 0 to 5",
+                state=f"are {components}",
+                noun=f"components of the link of node {k}",
+            )
         again = [i for i in components if 6 * k + i in taken]
         if again:
-            raise InputError(f"components {again} of node {k} follow by 2 links; allowed: one")
+            raise InputError(
+                ("links", k), allowed="one", state="follow by 2 links", noun=f"components {again} of node {k}"
+            )
         taken |= {6 * k + i for i in components}
         if k in held:
             raise InputError(
-                f"node {k} is held and follows other nodes by a link; allowed: hold the node that leads it"
+                ("links", k),
+                allowed="hold the node that leads it",
+                state="is held and follows other nodes by a link",
+                noun=f"node {k}",
             )
 
 

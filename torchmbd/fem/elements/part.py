@@ -131,7 +131,12 @@ class GivenElements:
 
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
         """InputError: a matrix of numbers has no stress."""
-        raise InputError(f"geometric stiffness of {type(self).__name__} is not known; allowed: plates and beams")
+        raise InputError(
+            "parts",
+            allowed="plates and beams",
+            state="is not known",
+            noun=f"geometric stiffness of {type(self).__name__}",
+        )
 
     def modules(self) -> dict[str, nn.Module]:
         """Nothing to design."""

@@ -107,9 +107,7 @@ class ExactBeam(nn.Module):
         if not isinstance(name, str) or not name:
             raise InputError("name", name, "a string", noun="name of an ExactBeam")
         if not isinstance(line, BeamLine):
-            raise InputError(
-                (name, "line"), line, "a BeamLine", noun=f"line of {name!r}", state=f"is a {type(line).__name__}"
-            )
+            raise InputError((name, "line"), line, "a BeamLine", state=f"is a {type(line).__name__}")
         self.name, self.mesh = name, line
         m = len(line.elements)
         self.sections = SpanSections(name, line, section)
@@ -118,26 +116,24 @@ class ExactBeam(nn.Module):
         if line.node_module is not None:
             self.line = line.node_module
         if isinstance(twist, nn.Parameter):
-            self.twist = parameter(f"twist of {name!r}", twist)
+            self.twist = parameter((name, "twist"), twist)
         else:
-            self.register_buffer("twist", reals(f"twist of {name!r}", twist), persistent=False)
+            self.register_buffer("twist", reals((name, "twist"), twist), persistent=False)
         if self.twist.shape not in ((), (m,), (m, 2)):
             allowed = f"one angle, one for each element [{m}], or two, at its start and end [{m}, 2]"
             raise InputError(
                 (name, "twist"),
                 self.twist,
                 allowed,
-                noun=f"twist of {name!r}",
                 state=f"has shape {tuple(self.twist.shape)}",
             )
-        self.register_buffer("offset", reals(f"offset of {name!r}", offset), persistent=False)
+        self.register_buffer("offset", reals((name, "offset"), offset), persistent=False)
         if self.offset.shape not in ((2,), (m, 2)):
             allowed = f"[2], or one for each element [{m}, 2]"
             raise InputError(
                 (name, "offset"),
                 self.offset,
                 allowed,
-                noun=f"offset of {name!r}",
                 state=f"has shape {tuple(self.offset.shape)}",
             )
         plain_twist = self.twist.dim() < 2 and not isinstance(self.twist, nn.Parameter)
@@ -231,11 +227,13 @@ class ExactBeam(nn.Module):
         count = len(search.topology.free)
         if not is_whole(number) or not 1 <= number <= count:
             raise InputError(
-                f"number of frequencies of {self.name!r} is {number!r}; allowed: 1 to {count}, its freedoms"
+                "number", number, f"1 to {count}, its freedoms", noun=f"number of frequencies of {self.name!r}"
             )
         if not search.topology.symmetric:
             raise InputError(
-                f"loads of {self.name!r} have moments, which have no potential; allowed in frequencies: forces"
+                "loads",
+                rule="have moments, which have no potential; allowed in frequencies: forces",
+                noun=f"loads of {self.name!r}",
             )
         solution = solve(search, data)
         w = frequencies(search, data, *solution[:2], number)
@@ -249,9 +247,7 @@ class ExactBeam(nn.Module):
         fixed, imposed = supported_freedoms(self.name, self.mesh, supports)
         free = torch.tensor([f for f in range(6 * n) if f not in set(fixed)])
         if not len(free):
-            raise InputError(
-                (self.name, "supports"), supports, "fewer", noun=f"supports of {self.name!r}", state="hold all freedoms"
-            )
+            raise InputError((self.name, "supports"), supports, "fewer", state="hold all freedoms")
         data, symmetric = beam_data(
             self.mesh, self.sections, elements, present_nodes(self.mesh), imposed, arguments, massive
         )

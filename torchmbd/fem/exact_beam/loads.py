@@ -58,7 +58,12 @@ def nodal_loads(name: str, line: BeamLine, loads: Loads | None) -> Float[Tensor,
     for where, wrench in loads.items():
         load = read_wrench(f"{name}[{where!r}]", wrench)
         if load.shape != (6,):
-            raise InputError(f"{name}[{where!r}] has shape {tuple(load.shape)}; allowed: 3 or 6 numbers")
+            raise InputError(
+                (name, str(where)),
+                allowed="3 or 6 numbers",
+                state=f"has shape {tuple(load.shape)}",
+                noun=f"{name}[{where!r}]",
+            )
         nodes = nodes_of(line, where)
         total = total.index_add(0, torch.tensor(nodes), (load / len(nodes)).expand(len(nodes), 6))
     return total
@@ -81,7 +86,7 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
     """Return the held degrees of freedom 6 * node + i, and the imposed motions [n, 6]; default: all of "start"."""
     supports = {"start": "all"} if supports is None else supports
     if not isinstance(supports, Mapping) or not supports:
-        raise InputError((name, "supports"), supports, "nodes -> freedoms, at least one", noun=f"supports of {name!r}")
+        raise InputError((name, "supports"), supports, "nodes -> freedoms, at least one")
     places: dict[int, float] = {}
     for where, support in supports.items():
         values = _values(f"support {where!r} of {name!r}", support)
@@ -91,7 +96,6 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
                     raise InputError(
                         (name, "supports"),
                         allowed="one",
-                        noun=f"supports of {name!r}",
                         state=f"put {FREEDOMS[i]} of node {node} at two places",
                     )
     imposed = torch.zeros(6 * len(line.nodes), dtype=torch.float64)
@@ -100,8 +104,10 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
         turns = [places[f] for f in range(6 * node + 3, 6 * node + 6) if f in places]
         if len(turns) == 1 or (len(turns) == 2 and any(turns)):
             raise InputError(
-                f"supports of {name!r} hold {len(turns)} rotations of node {node}; allowed where rotations are finite: none, "
-                "all three, or two at 0 (a hinge)"
+                (name, "supports", node),
+                rule=f"hold {len(turns)} rotations of node {node}; allowed where rotations are finite: none, all three, or "
+                "two at 0 (a hinge)",
+                noun=f"supports of {name!r}",
             )
     return sorted(places), imposed.reshape(-1, 6)
 

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, within
 from torchmbd.fem.elements import BeamSection, GivenSection
 from torchmbd.math.checked_numbers import reals
 
@@ -36,7 +36,7 @@ class SectionTable(nn.Module):
 
     def __init__(self, positions: Sequence[float] | Tensor, sections: Sequence[Any]) -> None:
         super().__init__()
-        at = reals("positions of a SectionTable", positions)
+        at = reals(("SectionTable", "positions"), positions)
         if (
             at.ndim != 1
             or len(at) < 2
@@ -53,7 +53,7 @@ class SectionTable(nn.Module):
             )
         if len(sections) != len(at):
             raise InputError(
-                f"{len(sections)} sections for {len(at)} positions of a SectionTable; allowed: one for each"
+                "sections", allowed="one for each position", state=f"are {len(sections)} for {len(at)} positions"
             )
         self.register_buffer("positions", at, persistent=False)
         self.sections = [_section(float(s), section) for s, section in zip(at, sections, strict=True)]
@@ -86,9 +86,12 @@ def _section(position: float, section: Any) -> Any:
         return section
     if not isinstance(section, Sequence) or len(section) != 2:
         raise InputError(
-            f"section at position {position:g} is {section!r}; allowed: a Section, a GivenSection, or (stiffness, mass)"
+            ("sections", f"{position:g}"),
+            section,
+            "a Section, a GivenSection, or (stiffness, mass)",
+            noun=f"section at position {position:g}",
         )
     try:
         return GivenSection(*section)
     except InputError as error:
-        raise InputError(f"section at position {position:g}: {error}") from None
+        raise within(f"section at position {position:g}", error, "sections", f"{position:g}") from None

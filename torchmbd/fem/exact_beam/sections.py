@@ -49,19 +49,20 @@ class SpanSections:
                     (name, "section"),
                     section,
                     "0-1, 1-2, ...",
-                    noun=f"section of {name!r}",
                     state="is a SectionTable and its line is not a chain",
                 )
             self.modules: dict[str, nn.Module] = {"section": self._table}
             return
         by_element: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * m
         if len(by_element) != m:
-            raise InputError(f"{len(by_element)} sections for {m} elements of {name!r}; allowed: one, or one for each")
+            raise InputError(
+                (name, "section"),
+                allowed="one, or one for each element",
+                state=f"has {len(by_element)} sections for {m} elements",
+            )
         for x in by_element:
             if not (isinstance(x, nn.Module) and isinstance(x, BeamSection)):
-                raise InputError(
-                    (name, "section"), x, "a Section, a GivenSection, a SectionTable", noun=f"section of {name!r}"
-                )
+                raise InputError((name, "section"), x, "a Section, a GivenSection, a SectionTable")
         self._sections = list(dict.fromkeys(by_element))
         self._index = torch.tensor([self._sections.index(x) for x in by_element])
         names = ["section"] if len(self._sections) == 1 else [f"section{k}" for k in range(len(self._sections))]
@@ -85,7 +86,6 @@ class SpanSections:
             raise InputError(
                 (self.name, "section"),
                 allowed="a stiffness that does work in every strain",
-                noun=f"section of {self.name!r}",
                 state=f"at {place:.3g} of its length (element {element}) is not positive definite",
             )
         return matrices

@@ -83,7 +83,10 @@ class IsotropicMean:
             stiffness = laminate.isotropic_stiffness() if isinstance(laminate, Laminate) else laminate
             if stiffness.A.ndim != 2:
                 raise InputError(
-                    f"IsotropicMean.of: A has shape {tuple(stiffness.A.shape)}; allowed: one laminate, [3, 3]"
+                    "laminate",
+                    allowed="one laminate, [3, 3]",
+                    state=f"has shape {tuple(stiffness.A.shape)}",
+                    noun="IsotropicMean.of: A",
                 )
             return cls(*_numbers(stiffness).tolist())
 

@@ -16,7 +16,7 @@ from torchmbd.math.plausible_units import THICKNESS, check_angles, warn_unusual
 
 
 def checked_angles(owner: str, angles: Sequence[float] | Tensor) -> nn.Parameter:
-    theta = parameter(f"angles of a {owner}", angles)
+    theta = parameter((owner, "angles"), angles)
     if theta.ndim != 1 or theta.numel() == 0:
         raise InputError(
             (str(owner), "angles"),
@@ -44,7 +44,7 @@ def checked_plies(ply: Lamina | Sequence[Lamina], layers: int) -> list[Lamina]:
 
 
 def checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> nn.Parameter:
-    t = parameter("thickness of a Laminate", thickness)
+    t = parameter(("Laminate", "thickness"), thickness)
     if t is thickness and t.ndim == 0:
         raise InputError(
             "thickness",

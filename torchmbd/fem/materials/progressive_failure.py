@@ -74,11 +74,20 @@ def progressive_failure(
     strengths = [ply.strength for ply in laminate.layer_plies]
     missing = [k for k, strength in enumerate(strengths) if strength is None]
     if missing:
-        raise InputError(f"the ply of layer {missing[0]} has no strength; allowed: Ply(..., strength=Strength(...))")
+        raise InputError(
+            "laminate",
+            allowed="Ply(..., strength=Strength(...))",
+            state="has no strength",
+            noun=f"the ply of layer {missing[0]}",
+        )
     numbers = torch.stack([strength.numbers() for strength in strengths if strength is not None])[:, None]
     if criterion != "max_stress" and not numbers[..., :5].isfinite().all():
         raise InputError(
-            f"a ply has an infinite strength in its plane; allowed with criterion {criterion!r}: finite ones"
+            "criterion",
+            criterion,
+            rule=f"has an infinite strength in its plane; allowed with criterion {criterion!r}: finite ones",
+            shown="",
+            noun="a ply",
         )
     rule = MODES[criterion]
     of_fiber = torch.tensor([name in FIBER for name in rule.names])
@@ -175,5 +184,5 @@ def _checked(
             raise InputError(name, x.tolist(), "three finite numbers xx, yy, xy", shown=f"{x.tolist()}")
     loads = torch.cat(both)
     if not loads.any():
-        raise InputError("force and moment are zero; allowed: a load that is not")
+        raise InputError("force", allowed="a load that is not", state="are zero", noun="force and moment")
     return loads

@@ -49,8 +49,9 @@ class MaterialAxes:
         if not bool(good.any(1).all()):
             k = int((~good.any(1)).nonzero()[0])
             raise InputError(
-                f"direction has no axis in {mesh.cell_name(k)}, center {centers[k].tolist()}: it lies on the axis of the "
-                "system. Try: a direction for each cell [m, 3]"
+                "direction",
+                rule=f"has no axis in {mesh.cell_name(k)}, center {centers[k].tolist()}: it lies on the axis of the system",
+                hint="a direction for each cell [m, 3]",
             )
         first = good.double().argmax(1)
         return axes[torch.arange(len(axes)), first]
@@ -65,7 +66,7 @@ def rule_of(mapping: Mapping[str, Any]) -> MaterialAxes:
         )
     [(name, arguments)] = mapping.items()
     if name not in rules:
-        raise unknown("rule of direction", name, rules)
+        raise unknown("direction", name, rules)
     for key in arguments:
         if key not in (names := argument_names(rules[name])):
             raise InputError(("direction", name, key), key, names, noun=f"argument of {name}")
@@ -130,7 +131,9 @@ def along(points: Sequence[Sequence[float]] | Tensor) -> MaterialAxes:
     p = reals("points", points)
     if p.dim() != 2 or p.shape[1:] != (3,) or len(p) < 2 or not bool(((p[1:] - p[:-1]).norm(dim=1) > 0.0).all()):
         raise InputError(
-            f"points of a curve have shape {tuple(p.shape)}: must be [k, 3] with k > 1, no two in sequence equal"
+            "points",
+            rule=f"have shape {tuple(p.shape)}: must be [k, 3] with k > 1, no two in sequence equal",
+            noun="points of a curve",
         )
 
     def axes_at(x: Tensor, n: Tensor) -> Tensor:

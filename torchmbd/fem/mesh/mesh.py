@@ -81,10 +81,10 @@ class Mesh:
         if not isinstance(self.node_sets, Mapping):
             raise InputError("node_sets", self.node_sets, "names -> lists of nodes", noun="node_sets of a Mesh")
         sets = {str(name): node_members("Mesh", name, members) for name, members in self.node_sets.items()}
-        object.__setattr__(self, "nodes", reals("nodes of a Mesh", self.nodes))
+        object.__setattr__(self, "nodes", reals(("Mesh", "nodes"), self.nodes))
         object.__setattr__(self, "node_sets", sets)
         for name in ("triangles", "quads", "lines"):
-            elements = indices(f"{name} of a Mesh", getattr(self, name))
+            elements = indices(("Mesh", name), getattr(self, name))
             object.__setattr__(self, name, elements)
         self._check()
 
@@ -101,7 +101,13 @@ class Mesh:
         """Return the index of a named single node."""
         members = self.node_set(name)
         if len(members) != 1:
-            raise InputError(f"Mesh: node set {name!r} has {len(members)} nodes; a single named node is needed")
+            raise InputError(
+                "node",
+                name,
+                rule=f"has {len(members)} nodes; a single named node is needed",
+                shown="",
+                noun=f"Mesh: node set {name!r}",
+            )
         return members[0]
 
     def node_set(self, name: str) -> tuple[int, ...]:
@@ -120,10 +126,18 @@ class Mesh:
         """Return the nodes at most `radius` [m] from a named node or a place [m]: a patch of one size on every mesh."""
         place = self.nodes[self.node(point)] if isinstance(point, str) else self.nodes.new_tensor(point)
         if place.shape != (3,) or not radius > 0:
-            raise InputError(f"Mesh: within({radius!r}, {point!r}); allowed: a radius > 0, and a node or three numbers")
+            raise InputError(
+                "radius",
+                radius,
+                "a radius > 0, and a node or three numbers",
+                state=f"within({radius!r}, {point!r})",
+                noun="Mesh:",
+            )
         near = ((self.nodes - place).norm(dim=1) <= radius * (1.0 + 1e-9)).nonzero().flatten()
         if not len(near):
-            raise InputError(f"Mesh: no node within {radius!r} m of {point!r}; allowed: a larger radius")
+            raise InputError(
+                "radius", radius, "a larger radius", state=f"no node within {radius!r} m of {point!r}", noun="Mesh:"
+            )
         return tuple(near.tolist())
 
     @constant_arguments
@@ -146,7 +160,11 @@ class Mesh:
                 mask &= (self.nodes[:, axis] - scalar(f"{'xyz'[axis]} of edge", at, "a number", " m")).abs() <= near
         if not bool(mask.any()):
             raise InputError(
-                f"Mesh: no edge at x={x}, y={y}, z={z}; allowed: coordinates [m] of nodes on an edge, or None"
+                "edge",
+                (x, y, z),
+                "coordinates [m] of nodes on an edge, or None",
+                state=f"no edge at x={x}, y={y}, z={z}",
+                noun="Mesh:",
             )
         return tuple(mask.nonzero().flatten().tolist())
 

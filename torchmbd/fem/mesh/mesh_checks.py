@@ -90,7 +90,13 @@ def check(mesh: Cells) -> None:
     for name, members in mesh.node_sets.items():
         for k in members:
             if not 0 <= k < len(mesh.nodes):
-                raise InputError(f"Mesh: node_sets[{name!r}] has node {k}; allowed: 0 to {len(mesh.nodes) - 1}")
+                raise InputError(
+                    ("node_sets", name),
+                    k,
+                    f"0 to {len(mesh.nodes) - 1}",
+                    state=f"has node {k}",
+                    noun=f"Mesh: node_sets[{name!r}]",
+                )
 
 
 def _check_nodes(mesh: Cells) -> None:
@@ -102,7 +108,13 @@ def _check_nodes(mesh: Cells) -> None:
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
         k = int(bad[0])
-        raise InputError(f"Mesh: {mesh.node_name(k)} is at {nodes[k].tolist()}; allowed: finite coordinates")
+        raise InputError(
+            ("nodes", k),
+            nodes[k].tolist(),
+            "finite coordinates",
+            state=f"is at {nodes[k].tolist()}",
+            noun=f"Mesh: {mesh.node_name(k)}",
+        )
     if mesh.as_given:
         return
     size = float((nodes.amax(0) - nodes.amin(0)).norm())
@@ -113,7 +125,9 @@ def _check_nodes(mesh: Cells) -> None:
         # The node of a rigid link may lie on a node of the plate, and a spring may join two nodes of plates.
         if ({k, other} <= plates and frozenset((k, other)) not in joined) or not len(mesh.lines):
             raise InputError(
-                f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)} share one place {nodes[k].tolist()}; merge them"
+                ("nodes", k),
+                rule=f"share one place {nodes[k].tolist()}; merge them",
+                noun=f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)}",
             )
 
 
@@ -127,9 +141,13 @@ def _refuse(mesh: Cells, text: str, count: int) -> None:
 def _check_shapes(mesh: Cells) -> None:
     for name, corners, width in (("triangles", mesh.triangles, 3), ("quads", mesh.quads, 4)):
         if corners.ndim != 2 or corners.shape[1] != width:
-            raise InputError(f"Mesh: {name} has shape {tuple(corners.shape)}; allowed: [m, {width}]")
+            raise InputError(
+                (name,), allowed=f"[m, {width}]", state=f"has shape {tuple(corners.shape)}", noun=f"Mesh: {name}"
+            )
     if mesh.cell_count + len(mesh.lines) == 0:
-        raise InputError("Mesh: it has no triangles, no quads and no lines; allowed: at least one")
+        raise InputError(
+            "triangles", allowed="at least one", state="has no triangles, no quads and no lines", noun="Mesh: it"
+        )
 
 
 def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
@@ -138,7 +156,13 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
     bad = ((corners < 0) | (corners >= n)).any(dim=1).nonzero().flatten()
     if len(bad):
         k = int(bad[0])
-        raise InputError(f"Mesh: {mesh.cell_name(start + k)} has nodes {corners[k].tolist()}; allowed: 0 to {n - 1}")
+        raise InputError(
+            ("cells", start + k),
+            corners[k].tolist(),
+            f"0 to {n - 1}",
+            state=f"has nodes {corners[k].tolist()}",
+            noun=f"Mesh: {mesh.cell_name(start + k)}",
+        )
     duplicates = repeated_rows(np.sort(corners.numpy(), axis=1))
     if len(duplicates):
         original, copy = (mesh.cell_name(start + int(k)) for k in duplicates[0])
@@ -172,7 +196,9 @@ def _check_orphans(mesh: Cells) -> None:
     if not used.all():
         orphans = (~used).nonzero().flatten().tolist()
         names = ", ".join(mesh.node_name(k) for k in orphans[:8])
-        raise InputError(f"Mesh: {len(orphans)} orphan nodes belong to no element: {names}; remove them")
+        raise InputError(
+            "nodes", rule=f"belong to no element: {names}; remove them", noun=f"Mesh: {len(orphans)} orphan nodes"
+        )
 
 
 def _check_lines(mesh: Cells) -> None:
@@ -182,7 +208,13 @@ def _check_lines(mesh: Cells) -> None:
     bad = ((lines < 0) | (lines >= n)).any(dim=1) | (lines[:, 0] == lines[:, 1])
     if bad.any():
         k = int(bad.nonzero()[0])
-        raise InputError(f"Mesh: line {k} has nodes {lines[k].tolist()}; allowed: two different ones of 0 to {n - 1}")
+        raise InputError(
+            ("lines", k),
+            lines[k].tolist(),
+            f"two different ones of 0 to {n - 1}",
+            state=f"has nodes {lines[k].tolist()}",
+            noun=f"Mesh: line {k}",
+        )
 
 
 def _sides(mesh: Cells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -218,6 +250,8 @@ def _check_connected(mesh: Cells) -> None:
     parts, stray = connected_parts(tail, head, n)
     if parts > 1:
         raise InputError(
-            f"Mesh: {parts} disconnected parts ({mesh.node_name(stray)} is not connected with {mesh.node_name(0)}); "
-            "allowed: one"
+            "elements",
+            allowed="one",
+            state=f"is not connected with {mesh.node_name(0)})",
+            noun=f"Mesh: {parts} disconnected parts ({mesh.node_name(stray)}",
         )

@@ -40,7 +40,7 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     [0.25, 0.0, 0.0]
     """
     for name, value in (("length", length), ("width", width)):
-        positive(f"rectangle: {name}", value, "m")
+        positive(name, value, "m")
     if not isinstance(cells, Sequence) or len(cells) != 2 or not all(is_whole(c) and c >= 1 for c in cells):
         raise InputError("cells", cells, "two integers >= 1", noun="rectangle: cells", state=f"= {cells!r}")
     if kind not in KINDS:

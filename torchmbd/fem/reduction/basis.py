@@ -117,13 +117,21 @@ def parse_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, 
     K_form, K_values = recognize("K", K)
     M_form, M_values = recognize("M", M, K_form.size)
     if not is_whole(n) or not 1 <= n <= K_form.size:
-        raise InputError(f"n = {n!r} modes of a problem with {K_form.size} freedoms; 1 ... {K_form.size} are allowed")
+        raise InputError(
+            "n",
+            n,
+            rule="are allowed",
+            shown="",
+            noun=f"n = {n!r} modes of a problem with {K_form.size} freedoms; 1 ... {K_form.size}",
+        )
     K_lanes, M_lanes = K_values.shape[: -K_form.entry_dims], M_values.shape[: -M_form.entry_dims]
     try:
         lanes = np.broadcast_shapes(K_lanes, M_lanes)
     except ValueError:
         raise InputError(
-            f"K has lanes {tuple(K_lanes)} and M has {tuple(M_lanes)}; lanes that broadcast are needed"
+            "M",
+            rule=f"has lanes {tuple(K_lanes)} and M has {tuple(M_lanes)}; lanes that broadcast are needed",
+            noun="K",
         ) from None
     K_entry, M_entry = K_values.shape[len(K_lanes) :], M_values.shape[len(M_lanes) :]
     flat_K = K_values.expand(*lanes, *K_entry).reshape(-1, *K_entry)

@@ -91,10 +91,12 @@ def eigenpair_branches(
     [-1.0, 1.0]
     """
     if orders < 1:
-        raise InputError(f"orders = {orders!r}; at least 1 is needed")
+        raise InputError("orders", orders, rule="is needed", shown="", noun=f"orders = {orders!r}; at least 1")
     pencil, K, M, lanes = parse_pencil(*matrices(b), n)
     if lanes:
-        raise InputError(f"matrices(b) has lanes {tuple(lanes)}; one design at a time is allowed")
+        raise InputError(
+            "matrices", rule=f"has lanes {tuple(lanes)}; one design at a time is allowed", noun="matrices(b)"
+        )
 
     def along(t: Tensor) -> tuple[Tensor, Tensor]:
         _, K, M, _ = parse_pencil(*matrices(b + t * direction), n)

@@ -156,7 +156,7 @@ def recognize(name: str, matrix: Tensor | SparseMatrix, size: int | None = None)
         form: Form = Sparse(matrix.pattern, matrix.symmetric)
         values = matrix.values
     elif not isinstance(matrix, Tensor):
-        raise InputError(f"{name} is a {type(matrix).__name__}; a tensor or a SparseMatrix is needed")
+        raise InputError(name, rule=f"is a {type(matrix).__name__}; a tensor or a SparseMatrix is needed")
     elif matrix.dim() >= 2 and matrix.shape[-1] == matrix.shape[-2] and (size is None or matrix.shape[-1] == size):
         form, values = Dense(matrix.shape[-1]), matrix
     elif size is not None and matrix.dim() >= 1 and matrix.shape[-1] == size:
@@ -164,18 +164,22 @@ def recognize(name: str, matrix: Tensor | SparseMatrix, size: int | None = None)
     else:
         diagonal = "" if size is None else f" or [..., {size}] (a diagonal)"
         needed = "[..., N, N]" if size is None else f"[..., {size}, {size}]"
-        raise InputError(f"{name} has shape {tuple(matrix.shape)}; {needed}{diagonal} or a SparseMatrix is needed")
+        raise InputError(name, rule=f"has shape {tuple(matrix.shape)}; {needed}{diagonal} or a SparseMatrix is needed")
     if size is not None and form.size != size:
         raise InputError(name, allowed=f"{size}, the number of rows of K", state=f"has {form.size} rows")
     if values.dtype != torch.float64:
-        raise InputError(f"{name} has dtype {values.dtype}; torch.float64 is needed")
+        raise InputError(name, rule=f"has dtype {values.dtype}; torch.float64 is needed")
     return form, values
 
 
 def check(name: str, form: Form, values: Tensor) -> None:
     """Raise InputError naming lane and entry where a matrix [lane, *entry] is not finite or not symmetric."""
     if not torch.isfinite(values.sum()) and (wrong := ~torch.isfinite(values)).any():
-        raise InputError(f"{_entry_name(name, form, wrong)} = {values[wrong][0].item()}; finite numbers are needed")
+        raise InputError(
+            name,
+            rule="are needed",
+            noun=f"{_entry_name(name, form, wrong)} = {values[wrong][0].item()}; finite numbers",
+        )
     if isinstance(form, Sparse) and form.symmetric:
         return
     skew = (values - form.transposed(values)).abs()
@@ -184,7 +188,9 @@ def check(name: str, form: Form, values: Tensor) -> None:
     if wrong.any():
         difference = skew[wrong][0].item()
         raise InputError(
-            f"{_entry_name(name, form, wrong)} differs by {difference:.3g} from its mirror image; symmetric needed"
+            name,
+            rule=f"differs by {difference:.3g} from its mirror image; symmetric needed",
+            noun=_entry_name(name, form, wrong),
         )
 
 
@@ -196,7 +202,9 @@ def check_positive_diagonal(form: Form, values: Tensor) -> None:
         lane, row = (int(i) for i in wrong.nonzero()[0])
         value = diagonal[lane, row].item()
         place = f"M[{row}, {row}]{lane_name(lane, len(values))}"
-        raise InputError(f"{place} = {value:.3g}: M is not positive definite; positive needed")
+        raise InputError(
+            "M", value, rule="is not positive definite; positive needed", shown="", noun=f"{place} = {value:.3g}: M"
+        )
 
 
 def lane_name(lane: int, lanes: int) -> str:

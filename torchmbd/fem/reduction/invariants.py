@@ -41,7 +41,9 @@ def inertia_invariants(
     if mass.shape[-1] != nodes or rotary.shape[-1] != nodes or psi.shape[-3:-1] != (nodes, 6):
         shapes = ", ".join(str(tuple(a.shape)) for a in (x, mass, rotary, psi))
         raise InputError(
-            f"x, mass, rotary, psi have shapes {shapes}; [..., n, 3], [..., n], [..., n], [..., n, 6, m] needed"
+            "x",
+            rule=f"have shapes {shapes}; [..., n, 3], [..., n], [..., n], [..., n, 6, m] needed",
+            noun="x, mass, rotary, psi",
         )
     t, r = psi[..., :3, :], psi[..., 3:, :]
     weighted = mass[..., None] * x

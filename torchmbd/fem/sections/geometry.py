@@ -64,7 +64,10 @@ class SectionGeometry:
         result._set_nodes(self.node_positions(x))
         if not all_true((result.weight >= 0.0).flatten()):
             raise InputError(
-                "dimensions of a section turn an element inside out; allowed: walls that fit into the section"
+                "dimensions",
+                allowed="walls that fit into the section",
+                state="turn an element inside out",
+                noun="dimensions of a section",
             )
         return result
 

@@ -53,13 +53,13 @@ class SectionMesh:
         layer: ArrayLike | Tensor = 0,
         plane_angle: ArrayLike | Tensor | None = None,
     ) -> None:
-        self.nodes, self.dimensions = reals("nodes of a SectionMesh", nodes), {}
-        self.elements = tuple(indices("elements of a SectionMesh", block) for block in _blocks(elements))
+        self.nodes, self.dimensions = reals(("SectionMesh", "nodes"), nodes), {}
+        self.elements = tuple(indices(("SectionMesh", "elements"), block) for block in _blocks(elements))
         count = sum(len(block) for block in self.elements)
-        self.layer = _per_element("layer", indices("layer of a SectionMesh", layer), count)
+        self.layer = _per_element("layer", indices(("SectionMesh", "layer"), layer), count)
         self.plane_angle = None
         if plane_angle is not None:
-            self.plane_angle = _per_element("plane_angle", reals("plane_angle of a SectionMesh", plane_angle), count)
+            self.plane_angle = _per_element("plane_angle", reals(("SectionMesh", "plane_angle"), plane_angle), count)
         self._check_nodes()
         self._check_elements()
         self._check_connected()
@@ -81,10 +81,15 @@ class SectionMesh:
         bad = (~torch.isfinite(self.nodes)).any(dim=1).nonzero().flatten()
         if len(bad):
             raise InputError(
-                f"SectionMesh: node {int(bad[0])} is at {self.nodes[bad[0]].tolist()}; allowed: finite coordinates"
+                ("nodes", int(bad[0])),
+                allowed="finite coordinates",
+                state=f"is at {self.nodes[bad[0]].tolist()}",
+                noun=f"SectionMesh: node {int(bad[0])}",
             )
         for first, k in repeated_rows(self.nodes.numpy()):
-            raise InputError(f"SectionMesh: nodes {first} and {k} share one place; merge them")
+            raise InputError(
+                ("nodes", k), rule="share one place; merge them", noun=f"SectionMesh: nodes {first} and {k}"
+            )
         if self.plane_angle is not None and not torch.isfinite(self.plane_angle).all():
             raise InputError(
                 "plane_angle",
@@ -93,19 +98,30 @@ class SectionMesh:
                 state="holds numbers that are not finite",
             )
         if self.layer.min() < 0:
-            raise InputError(f"SectionMesh: layer {int(self.layer.min())}; allowed: 0 and up")
+            raise InputError(
+                "layer", int(self.layer.min()), "0 and up", state=f"layer {int(self.layer.min())}", noun="SectionMesh:"
+            )
 
     def _check_elements(self) -> None:
         start, n = 0, len(self.nodes)
         used = torch.zeros(n, dtype=torch.bool)
         for block in self.elements:
             if block.ndim != 2 or block.shape[1] not in KINDS or len(block) == 0:
-                raise InputError(f"SectionMesh: elements of shape {tuple(block.shape)}; allowed: [m, k], k in {KINDS}")
+                raise InputError(
+                    "elements",
+                    allowed=f"[m, k], k in {KINDS}",
+                    state=f"elements of shape {tuple(block.shape)}",
+                    noun="SectionMesh:",
+                )
             outside = ((block < 0) | (block >= n)).any(dim=1).nonzero().flatten()
             if len(outside):
                 k = int(outside[0])
                 raise InputError(
-                    f"SectionMesh: element {start + k} has nodes {block[k].tolist()}; allowed: 0 to {n - 1}"
+                    ("elements", start + k),
+                    block[k].tolist(),
+                    f"0 to {n - 1}",
+                    state=f"has nodes {block[k].tolist()}",
+                    noun=f"SectionMesh: element {start + k}",
                 )
             points = torch.cat([rule(block.shape[1])[0], corners(block.shape[1])])
             jacobian = torch.einsum("gki,mkj->mgij", shape(block.shape[1], points)[1], self.nodes[block])
@@ -115,14 +131,21 @@ class SectionMesh:
             if len(wrong):
                 k = int(wrong[0])
                 raise InputError(
-                    f"SectionMesh: element {start + k}, nodes {block[k].tolist()}, is inverted or collapsed; "
-                    "allowed: counterclockwise elements (seen from +x, y to the right) with convex corners"
+                    ("elements", start + k),
+                    block[k].tolist(),
+                    "counterclockwise elements (seen from +x, y to the right) with convex corners",
+                    state="is inverted or collapsed",
+                    noun=f"SectionMesh: element {start + k}, nodes {block[k].tolist()},",
                 )
             used[block.flatten()] = True
             start += len(block)
         if not used.all():
             orphans = (~used).nonzero().flatten().tolist()
-            raise InputError(f"SectionMesh: {len(orphans)} nodes belong to no element: {orphans[:8]}; remove them")
+            raise InputError(
+                "nodes",
+                rule=f"belong to no element: {orphans[:8]}; remove them",
+                noun=f"SectionMesh: {len(orphans)} nodes",
+            )
 
     def _check_connected(self) -> None:
         tail = np.concatenate([block.numpy().ravel() for block in self.elements])
@@ -130,7 +153,10 @@ class SectionMesh:
         parts, stray = connected_parts(tail, head, len(self.nodes))
         if parts > 1:
             raise InputError(
-                f"SectionMesh: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
+                "elements",
+                allowed="one",
+                state="is not connected with node 0)",
+                noun=f"SectionMesh: {parts} disconnected parts (node {stray}",
             )
 
     def _check_conforming(self) -> None:
@@ -151,8 +177,10 @@ class SectionMesh:
         if len(wrong):
             element, stray = int(owner[rim[k[wrong[0]]]]), int(node[wrong[0]])
             raise InputError(
-                f"SectionMesh: node {stray} lies on a side of element {element} and is none of its nodes; "
-                "allowed: neighbors that share their sides"
+                ("nodes", stray),
+                allowed="neighbors that share their sides",
+                state=f"lies on a side of element {element} and is none of its nodes",
+                noun=f"SectionMesh: node {stray}",
             )
 
 
@@ -180,5 +208,7 @@ def _blocks(elements: ArrayLike | Tensor | Sequence[ArrayLike | Tensor]) -> Sequ
 def _per_element(name: str, values: Tensor, count: int) -> Tensor:
     if values.shape not in ((), (count,)):
         shape = tuple(values.shape)
-        raise InputError(f"SectionMesh: {name} has shape {shape}; allowed: one number, or one for each element")
+        raise InputError(
+            name, allowed="one number, or one for each element", state=f"has shape {shape}", noun=f"SectionMesh: {name}"
+        )
     return values.expand(count).clone()

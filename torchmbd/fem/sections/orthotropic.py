@@ -59,7 +59,7 @@ class Orthotropic:
             value = number(getattr(self, name))
             if not (is_real(value) and math.isfinite(value)):
                 raise InputError(
-                    f"Orthotropic: {name} = {value!r}; allowed: a finite number, or mbd.variable(...) of one"
+                    name, value, "a finite number, or mbd.variable(...) of one", noun=f"Orthotropic: {name}"
                 )
         numbers = without_variables(self)
         normal = numbers._compliance()[:3, :3]
@@ -114,8 +114,10 @@ class Orthotropic:
             return cls(*moduli, ply.nu12, ply.nu12, nu23, ply.density, ply.strength)
         except InputError as error:
             raise InputError(
-                f"ply with E2 = {ply.E2!r}, G23 = {ply.G23!r} is not a transversely isotropic solid "
-                f"(nu23 = E2 / (2 G23) - 1 = {nu23:.4g}); give all nine constants as Orthotropic"
+                "ply",
+                rule=f"is not a transversely isotropic solid (nu23 = E2 / (2 G23) - 1 = {nu23:.4g}); give all nine "
+                "constants as Orthotropic",
+                noun=f"ply with E2 = {ply.E2!r}, G23 = {ply.G23!r}",
             ) from error
 
     def of_design(self, ply: Lamina | Orthotropic) -> Orthotropic:

@@ -97,11 +97,18 @@ class Section(nn.Module):
         theta = checked_angles("Section", angles)
         plies = [ply] * len(theta) if isinstance(ply, Lamina | Orthotropic) else list(ply)
         if len(plies) != len(theta):
-            raise InputError(f"Section: {len(plies)} plies for {len(theta)} angles; allowed: one ply, or one per angle")
+            raise InputError(
+                "ply",
+                allowed="one ply, or one per angle",
+                state=f"{len(plies)} plies for {len(theta)} angles",
+                noun="Section:",
+            )
         if mesh.layers > len(theta):
             raise InputError(
-                f"Section: the mesh has layers 0 to {mesh.layers - 1}, angles has {len(theta)}; "
-                "allowed: one angle for each layer"
+                "angles",
+                allowed="one angle for each layer",
+                state=f"has layers 0 to {mesh.layers - 1}, angles has {len(theta)}",
+                noun="Section: the mesh",
             )
         self._plies = LayerNumbers(self, "ply", plies)
         self._solids = [Orthotropic.of(without_variables(p)) for p in plies]

@@ -79,7 +79,12 @@ class Event:
         shape = (motion.lanes, motion.signals.times)
         if not isinstance(g, Tensor) or g.shape != shape:
             returned = f"shape {tuple(g.shape)}" if isinstance(g, Tensor) else repr(g)
-            raise InputError(f"the function of an event returned {returned}; allowed: a tensor [lanes, times], {shape}")
+            raise InputError(
+                "function",
+                allowed=f"a tensor [lanes, times], {shape}",
+                state=f"returned {returned}",
+                noun="the function of an event",
+            )
         return g
 
     def at_once(self, motion: Trajectory) -> Tensor:

@@ -70,7 +70,13 @@ class Phase:
 
     def __post_init__(self) -> None:
         if self.until is not None and self.lasting is not None:
-            raise InputError(f"until={self.until!r} and lasting={self.lasting!r} are both given; allowed: one of them")
+            raise InputError(
+                "until",
+                self.until,
+                "one of them",
+                state="are both given",
+                noun=f"until={self.until!r} and lasting={self.lasting!r}",
+            )
         for key in ("until", "lasting"):
             x = getattr(self, key)
             if x is not None and not isinstance(x, Event) and not _positive(x):

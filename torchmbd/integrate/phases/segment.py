@@ -190,7 +190,9 @@ def _check_names(system: System, names: Sequence[str]) -> None:
         twice = sorted({name for name in labels if labels.count(name) > 1})
         if twice:
             raise InputError(
-                f"{kind} have the names {', '.join(twice)} more than once; allowed with phases: unique names"
+                "phases",
+                rule=f"have the names {', '.join(twice)} more than once; allowed with phases: unique names",
+                noun=kind,
             )
 
 
@@ -208,7 +210,13 @@ def _actions_of_phase(system: System, phase: str, laws: Mapping[str, Law]) -> tu
             raise unknown(f"in laws of phase {phase!r} the force", name, named, ("phases", phase, "laws"))
         matches = [force for force in system.forces if force.name == name]
         if len(matches) > 1 or len(list(matches[0].actions(AttachmentTable()))) != 1:
-            raise InputError(f"laws of phase {phase!r} names {name!r}; allowed: one force element of a single action")
+            raise InputError(
+                ("phases", phase, "laws"),
+                name,
+                "one force element of a single action",
+                state=f"names {name!r}",
+                noun=f"laws of phase {phase!r}",
+            )
         check_law(f"{name} in phase {phase}", law)
     for force in system.forces:
         for action in force.actions(AttachmentTable()):
@@ -235,8 +243,10 @@ def check_order(phases: Sequence[Phase], duration: float) -> None:
             )
     if phases[-1].until is not None or phases[-1].lasting is not None:
         raise InputError(
-            f"phase {names[-1]!r} is the last and has an end of its own; allowed: the last phase lasts until the "
-            f"duration of the simulation (add mbd.Phase() after it)"
+            ("phases", names[-1]),
+            allowed="the last phase lasts until the duration of the simulation (add mbd.Phase() after it)",
+            state="is the last and has an end of its own",
+            noun=f"phase {names[-1]!r}",
         )
     times = [0.0, *(p.end_time for p in phases if p.end_time is not None), duration]
     if any(a >= b for a, b in itertools.pairwise(times)):
@@ -260,16 +270,37 @@ def _check_locks(phase: str, system: System, locked: Sequence[Joint], released: 
     """InputError for locks that do not go with the other joints of a phase."""
     for joint in locked:
         if joint in released:
-            raise InputError(f"phase {phase!r} both locks and releases {joint.name!r}; allowed: one of them")
+            raise InputError(
+                ("phases", phase, "lock"),
+                joint.name,
+                "one of them",
+                state=f"both locks and releases {joint.name!r}",
+                noun=f"phase {phase!r}",
+            )
         if isinstance(joint, Drive):
-            raise InputError(f"phase {phase!r} locks the drive {joint.name!r}; allowed: release it, lock its joint")
+            raise InputError(
+                ("phases", phase, "lock"),
+                joint.name,
+                "release it, lock its joint",
+                state=f"locks the drive {joint.name!r}",
+                noun=f"phase {phase!r}",
+            )
         if joint.joints:
-            raise InputError(f"phase {phase!r} locks the coupling {joint.name!r}; allowed: lock one of its joints")
+            raise InputError(
+                ("phases", phase, "lock"),
+                joint.name,
+                "lock one of its joints",
+                state=f"locks the coupling {joint.name!r}",
+                noun=f"phase {phase!r}",
+            )
         bodies = {joint.a.body.name, joint.b.body.name}
         for drive in system.joints:
             driven = isinstance(drive, Drive) and {drive.a.body.name, drive.b.body.name} == bodies
             if driven and drive not in released:
                 raise InputError(
-                    f"phase {phase!r} locks {joint.name!r}, which {drive.name!r} drives; "
-                    f"allowed: release={[drive.name]!r} in this phase"
+                    ("phases", phase, "lock"),
+                    joint.name,
+                    f"release={[drive.name]!r} in this phase",
+                    state=f"locks {joint.name!r}, which {drive.name!r} drives",
+                    noun=f"phase {phase!r}",
                 )

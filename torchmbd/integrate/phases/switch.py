@@ -158,7 +158,12 @@ def _velocities(impact: Callable, motion: Trajectory) -> Tensor:
     v, shape = impact(before), tuple(motion.v.shape)
     if not isinstance(v, Tensor) or v.shape != shape:
         returned = f"shape {tuple(v.shape)}" if isinstance(v, Tensor) else repr(v)
-        raise InputError(f"the impact of a phase returned {returned}; allowed: a tensor [lanes, times, n_v], {shape}")
+        raise InputError(
+            ("phases", "impact"),
+            allowed=f"a tensor [lanes, times, n_v], {shape}",
+            state=f"returned {returned}",
+            noun="the impact of a phase",
+        )
     return v
 
 

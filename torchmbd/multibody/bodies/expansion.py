@@ -23,7 +23,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, one_of, warn
+from torchmbd.errors import InputError, one_of, warn, within
 from torchmbd.fem.elements import Assembly, ExpandingPart, Part
 from torchmbd.fem.elements.geometric import StressedCells, projected_geometric_stiffness
 from torchmbd.fem.reduction import StaticLoads, StaticShapes
@@ -48,7 +48,7 @@ class Expansion:
     def expanding(self, zone: str | None) -> dict[str, ExpandingPart]:
         """The parts of a zone that can expand; InputError for a zone that is not there, or does not expand."""
         if zone is not None:
-            one_of(f"zone of {self.name!r}", zone, self.parts)
+            one_of((self.name, "zone"), zone, self.parts)
         members = {
             key: part for key, part in self.parts.items() if zone in (None, key) and isinstance(part, ExpandingPart)
         }
@@ -84,13 +84,10 @@ class Expansion:
             try:
                 forces = part.expansion_forces(change)
             except InputError as error:
-                noun, path = f"part {key!r} of body {self.name!r}:", (self.name, key, *error.path)
-                raise InputError(path, error.value, rule=str(error), noun=noun, shown="") from None
+                raise within(f"part {key!r} of body {self.name!r}", error, self.name, key) from None
             total = forces if total is None else total + forces
         if total is None:
-            raise InputError(
-                change, allowed=" or ".join(self.changes(zone)), noun=f"change of {self.name!r}", state=f"is {change}"
-            )
+            raise InputError((self.name, "change"), change, " or ".join(self.changes(zone)))
         return total
 
     def second_order(
@@ -122,7 +119,7 @@ class Expansion:
         wanted: list[str | bool] = zone_list(zones) if isinstance(zones, (bool, str, list, tuple)) else [False]
         if any(x is False or not isinstance(x, (bool, str)) or wanted.count(x) > 1 for x in wanted):
             allowed = "True, False, or names of parts of the body, each once; True among them is the whole body"
-            raise InputError((self.name, "expansion"), zones, allowed, noun=f"expansion of {self.name!r}")
+            raise InputError((self.name, "expansion"), zones, allowed)
         chosen = [x if isinstance(x, str) else None for x in wanted]
         if not chosen:
             return None

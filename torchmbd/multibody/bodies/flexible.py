@@ -117,13 +117,12 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.name = identifier("flexible body", name)
         self.mesh = mesh
         if not isinstance(mesh, (Mesh, BeamLine)):
-            raise InputError((name, "mesh"), mesh, "a Mesh or a BeamLine", noun=f"mesh of {name!r}")
+            raise InputError((name, "mesh"), mesh, "a Mesh or a BeamLine")
         if not isinstance(parts, Mapping) or not parts or not all(isinstance(x, Part) for x in parts.values()):
             raise InputError(
                 (name, "parts"),
                 parts,
                 "names -> parts, such as Plates or Beams, at least one",
-                noun=f"parts of {name!r}",
             )
         set_start(self, position, axes)
         interfaces = Interfaces.of(self.name, mesh, interface)
@@ -138,7 +137,6 @@ class FlexibleBody(MatrixMethods, nn.Module):
                 raise InputError(
                     (name, "nodes"),
                     allowed="numbers, or no links",
-                    noun=f"nodes of {name!r}",
                     state="vary, and some are linked",
                 )
             self.add_module("line", mesh.node_module)  # pyright: ignore[reportAttributeAccessIssue]
@@ -154,7 +152,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.reduction, self.modes = reduced(
             name, self.assembly, reduction, modes, kept, self.reference, updated, shapes
         )
-        stiffens = true_or_false(f"stiffening of {name!r}", stiffening)
+        stiffens = true_or_false((name, "stiffening"), stiffening)
         self.stiffening = Stiffening(name, self.assembly) if stiffens else None
         self.damping = ModalDamping(name, damping)
         set_modal_start(self, None, None)
@@ -297,13 +295,11 @@ class FlexibleBody(MatrixMethods, nn.Module):
         Others as in `plate`. The inertia of the sections is on rigid arms at the nodes (and middles, if consistent).
         """
         if not isinstance(line, BeamLine):
-            raise InputError(
-                (name, "line"), line, "a BeamLine", noun=f"line of {name!r}", state=f"is a {type(line).__name__}"
-            )
+            raise InputError((name, "line"), line, "a BeamLine", state=f"is a {type(line).__name__}")
         sections: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
         if len(sections) != len(line.elements):
-            wrong = f"{len(sections)} sections for {len(line.elements)} elements of {name!r}"
-            raise InputError(f"{wrong}; allowed: one, or one for each")
+            wrong = f"has {len(sections)} sections for {len(line.elements)} elements"
+            raise InputError((name, "section"), allowed="one, or one for each element", state=wrong)
         parts: dict[str, Part] = {}  # elements that share a section are one part
         for k, cross_section in enumerate(dict.fromkeys(sections)):
             members = [e for e, s in enumerate(sections) if s is cross_section]
@@ -331,7 +327,10 @@ class FlexibleBody(MatrixMethods, nn.Module):
         interpolation = named or InterpolationConstraint.on(node_indices(self.mesh, node), weights)
         if varying_nodes(self.mesh) and len(interpolation.nodes) > 1:
             raise InputError(
-                f"frame on nodes {list(interpolation.nodes)} of {self.name!r}, whose nodes vary; allowed: one node"
+                (self.name, "node"),
+                allowed="one node",
+                state=f"on nodes {list(interpolation.nodes)} of {self.name!r}, whose nodes vary",
+                noun="frame",
             )
         return Frame(self, interpolation.center(x) + vector("offset", offset), rotation("axes", axes), interpolation)
 

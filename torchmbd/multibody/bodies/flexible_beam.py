@@ -109,13 +109,16 @@ class FlexibleBeam(ExactBeam):
         super().__init__(identifier("flexible beam", name), line, section, orientation, offset, twist)
         if varying_nodes(line):
             raise InputError(
-                f"line of the flexible beam {name!r} varies with the design; allowed: a fixed line, or an ExactBeam on its own"
+                (name, "line"),
+                allowed="a fixed line, or an ExactBeam on its own",
+                state="varies with the design",
+                noun=f"line of the flexible beam {name!r}",
             )
-        time = zero_or_positive(f"damping of {name!r}", number(damping), "s")
+        time = zero_or_positive((name, "damping"), number(damping), "s")
         self.damping = damping if is_variable(damping) else time
-        x0, A = vector(f"position of {name!r}", position), rotation(f"axes of {name!r}", axes)
+        x0, A = vector((name, "position"), position), rotation((name, "axes"), axes)
         v, om = (
-            None if x is None else vector(f"{label} of {name!r}", x)
+            None if x is None else vector((name, label), x)
             for label, x in (("velocity", velocity), ("angular_velocity", angular_velocity))
         )
         self.node_bodies = [BeamNode(self, k) for k in range(len(line.nodes))]
@@ -137,9 +140,7 @@ class FlexibleBeam(ExactBeam):
         """
         number = self.mesh.node(node) if isinstance(node, str) else node
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(self.node_bodies):
-            raise InputError(
-                (self.name, "node"), node, f"a name, or 0 to {len(self.node_bodies) - 1}", noun=f"node of {self.name!r}"
-            )
+            raise InputError((self.name, "node"), node, f"a name, or 0 to {len(self.node_bodies) - 1}")
         return self.node_bodies[number].at(axes=axes)
 
     def structure(self) -> Structure:

@@ -23,7 +23,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 from torchmbd.math.checked_numbers import parameter
 from torchmbd.math.gradients import refuse_gradients
 from torchmbd.math.rigid_motion import exponential
@@ -66,14 +66,14 @@ class Frame:
         if not all(hasattr(self.body, name) for name in ("name", "position", "axes", "at")):
             raise InputError("body", self.body, "a body or the ground, as body.at(...) has it", noun="body of a Frame")
         refuse_gradients(f"a frame on {self.body.name!r}", (self.point, self.axes))
-        object.__setattr__(self, "point", vector(f"point of a Frame on {self.body.name!r}", self.point))
-        object.__setattr__(self, "axes", rotation(f"axes of a Frame on {self.body.name!r}", self.axes))
+        object.__setattr__(self, "point", vector((self.body.name, "point"), self.point))
+        object.__setattr__(self, "axes", rotation((self.body.name, "axes"), self.axes))
         if hasattr(self.body, "mesh") != isinstance(self.interpolation, InterpolationConstraint) or not isinstance(
             self.interpolation, (InterpolationConstraint, type(None))
         ):
             allowed = "nodes of its mesh, as body.at(...) mounts it" if hasattr(self.body, "mesh") else "None"
             raise InputError(
-                f"interpolation of a Frame on {self.body.name!r} is {self.interpolation!r}; allowed: {allowed}"
+                "interpolation", self.interpolation, allowed, noun=f"interpolation of a Frame on {self.body.name!r}"
             )
 
     @property
@@ -134,25 +134,24 @@ class Place:
         return any(map(is_variable, (self.turn_x, self.turn_y, self.turn_z)))
 
 
-def frame_at(
-    name: str, body: Any, coordinates: Sequence[Any], axes: Sequence | Tensor | None, turn: Sequence[Any]
-) -> Frame:
+def frame_at(body: Any, coordinates: Sequence[Any], axes: Sequence | Tensor | None, turn: Sequence[Any]) -> Frame:
     """A frame at a point in body axes [m], turned by a rotation vector [rad]; InputError names the argument.
 
     Coordinates and components of the rotation vector may be design variables.
     """
     allowed = "three finite numbers, or mbd.variable(...) of one"
     point, vector_of_turn = (
-        _three_numbers(label, x, allowed) for label, x in ((name, coordinates), (f"turn of the {name}", turn))
+        _three_numbers(label, x, allowed)
+        for label, x in (((body.name, "point"), coordinates), ((body.name, "turn"), turn))
     )
     if float(vector_of_turn.norm()) > math.pi:
-        raise InputError(f"turn of the {name} is {turn!r} rad; allowed: a rotation vector of at most pi")
+        raise InputError((body.name, "turn"), turn, "a rotation vector of at most pi", shown=f"{turn!r} rad")
     triad = rotation("axes", axes)
     varying = Numbers(Place(triad, *coordinates, *turn)) if any(map(is_variable, (*coordinates, *turn))) else None
     return Frame(body, point, triad @ exponential(vector_of_turn), varying=varying)
 
 
-def _three_numbers(name: str, x: Any, allowed: str) -> Tensor:
+def _three_numbers(name: Path, x: Any, allowed: str) -> Tensor:
     if not isinstance(x, (tuple, list, Tensor)) or len(x) != 3:
         raise InputError(name, x, allowed)
     result = read_numbers(name, [number(y) for y in x], allowed)
@@ -168,7 +167,7 @@ def axis_index(name: str) -> int:
     return "xyz".index(name)
 
 
-def read_numbers(name: str, x: Any, allowed: str) -> Tensor:
+def read_numbers(name: str | Path, x: Any, allowed: str) -> Tensor:
     """Read numbers of any shape as a tensor of their own; InputError names the argument."""
     refuse_gradients(name, x, allowed)
     try:
@@ -177,7 +176,7 @@ def read_numbers(name: str, x: Any, allowed: str) -> Tensor:
         raise InputError(name, x, allowed) from error
 
 
-def vector(name: str, x: Sequence[float] | Tensor) -> Tensor:
+def vector(name: str | Path, x: Sequence[float] | Tensor) -> Tensor:
     """Read three finite numbers as a vector [3]; InputError names the argument."""
     result = read_numbers(name, x, "three finite numbers")
     if result.shape != (3,) or not bool(torch.isfinite(result).all()):
@@ -185,7 +184,7 @@ def vector(name: str, x: Sequence[float] | Tensor) -> Tensor:
     return result
 
 
-def vector_or_parameter(name: str, x: Sequence[float] | Tensor) -> Tensor:
+def vector_or_parameter(name: str | Path, x: Sequence[float] | Tensor) -> Tensor:
     """A `vector`, or a Parameter [3] as it is: a design variable."""
     result = vector(name, x.detach() if isinstance(x, nn.Parameter) else x)
     return parameter(name, x) if isinstance(x, nn.Parameter) else result
@@ -198,7 +197,7 @@ def register(module: nn.Module, name: str, x: Tensor | None) -> None:
     (module.register_parameter if isinstance(x, nn.Parameter) else module.register_buffer)(name, x)  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 
-def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
+def rotation(name: str | Path, axes: Sequence | Tensor | None) -> Tensor:
     """Read a rotation matrix [3, 3]: columns are the axes of the body or frame; None is the identity."""
     if axes is None:
         return torch.eye(3, dtype=torch.float64)
@@ -220,20 +219,20 @@ def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
 def identifier(kind: str, name: str) -> str:
     """Check a name that becomes part of parameter names."""
     if not isinstance(name, str) or not name.isidentifier():
-        raise InputError(f"name of the {kind} is {name!r}; allowed: a Python identifier, such as 'rod_2'")
+        raise InputError("name", name, "a Python identifier, such as 'rod_2'", noun=f"name of the {kind}")
     return name
 
 
 def set_start(
-    body: nn.Module,
+    body: Any,
     position: Sequence[float] | Tensor,
     axes: Sequence | Tensor | None,
     velocity: Sequence[float] | Tensor | None = None,
     angular_velocity: Sequence[float] | Tensor | None = None,
 ) -> None:
     """Set the approximate initial pose and velocities of a body; Parameters are design variables."""
-    register(body, "position", vector_or_parameter(f"position of {body.name!r}", position))
-    register(body, "axes", rotation(f"axes of {body.name!r}", axes))
+    register(body, "position", vector_or_parameter((body.name, "position"), position))
+    register(body, "axes", rotation((body.name, "axes"), axes))
     set_velocities(body, velocity, angular_velocity)
 
 
@@ -246,7 +245,7 @@ def set_velocities(
 ) -> None:
     """Set the initial velocities of a body; None: zero, which joints and other bodies may change (system/initial.py)."""
     for key, x in zip(VELOCITIES, (velocity, angular_velocity), strict=True):
-        register(body, key, vector_or_parameter(f"{key} of {body.name!r}", (0.0, 0.0, 0.0) if x is None else x))
+        register(body, key, vector_or_parameter((body.name, key), (0.0, 0.0, 0.0) if x is None else x))
     body.velocities_given = tuple(x is not None for x in (velocity, angular_velocity))
 
 
@@ -256,7 +255,7 @@ def set_modal_start(body: Any, *start_values: Sequence[float] | Tensor | None) -
     counts = body.mode_counts
     allowed = f"{counts[0]} finite numbers, one for each mode, or a torch.nn.Parameter"
     for key, x in zip(MODAL, start_values, strict=True):
-        name = f"{key} of {body.name!r}"
+        name = (body.name, key)
         plain = (
             x.detach()
             if isinstance(x, nn.Parameter)

@@ -63,16 +63,15 @@ class GivenMatrices:
         self.name = name
         source = matrix_source(name, M, K, derivatives, parameters)
         first = (M, K) if source is None else source.start()
-        read = _aligned([_labeled(f"{key} of {name!r}", x) for key, x in zip("MK", first, strict=True)])
+        read = _aligned([_labeled((name, key), x) for key, x in zip("MK", first, strict=True)])
         labels, positions = _positions(name, nodes, read)
         self.freedoms = _freedoms(name, len(positions), freedoms, read, labels)
-        further = [_labeled(f"a derivative of {name!r}", x) for x in ([] if source is None else source.further())]
+        further = [_labeled((name, "derivatives"), x) for x in ([] if source is None else source.further())]
         matrices = [x.matrix for x in (*read, *further)]
         if any(x.shape != (len(self.freedoms),) * 2 for x in matrices):
             raise InputError(
                 (name, "matrices"),
                 allowed=f"{len(self.freedoms)} rows and columns, one for each freedom of {len(positions)} nodes",
-                noun=f"matrices of {name!r}",
                 state=f"have the shapes {', '.join(str(x.shape) for x in matrices)}",
             )
         self.pattern, values = _common_pattern(self.freedoms, matrices, 6 * len(positions))
@@ -115,13 +114,12 @@ def mesh_of(
             (name, "node_sets"),
             node_sets,
             "those of the mesh, or nodes [n, 3]",
-            noun=f"node_sets of {name!r}",
             state="are given beside a Mesh",
         )
     return nodes
 
 
-def _labeled(label: str, matrix: Any) -> LabeledMatrix:
+def _labeled(label: tuple[str, str], matrix: Any) -> LabeledMatrix:
     """A matrix with its rows out of an array or a sparse matrix."""
     if isinstance(matrix, LabeledMatrix):
         read = matrix
@@ -167,17 +165,15 @@ def _positions(name: str, nodes: Any, read: Sequence[LabeledMatrix]) -> tuple[li
                 (name, "nodes"),
                 nodes,
                 "a number -> three coordinates",
-                noun=f"nodes of {name!r}",
                 state=f"are {nodes!r}",
             ) from None
-        return labels, reals(f"nodes of {name!r}", positions)
-    x = nodes.nodes.detach() if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes)
+        return labels, reals((name, "nodes"), positions)
+    x = nodes.nodes.detach() if isinstance(nodes, Mesh) else reals((name, "nodes"), nodes)
     if x.dim() != 2 or x.shape[1] != 3 or not len(x):
         raise InputError(
             (name, "nodes"),
             x,
             "[n, 3], or label -> place",
-            noun=f"nodes of {name!r}",
             state=f"have shape {tuple(x.shape)}",
         )
     labels = sorted({label for matrix in read if matrix.rows is not None for label, _ in matrix.rows})
@@ -185,7 +181,6 @@ def _positions(name: str, nodes: Any, read: Sequence[LabeledMatrix]) -> tuple[li
         raise InputError(
             (name, "matrices"),
             allowed=f"{len(x)}, the nodes given",
-            noun=f"matrices of {name!r}",
             state=f"refer to {len(labels)} nodes",
         )
     return labels or None, x
@@ -201,14 +196,13 @@ def _freedoms(
         index = {label: k for k, label in enumerate(labels or [])}
         missing = [label for label, _ in rows if label not in index]
         if missing:
-            raise InputError(f"nodes of {name!r} lack the label {missing[0]}, which the matrices have")
+            raise InputError((name, "nodes"), rule=f"lack the label {missing[0]}, which the matrices have")
         return torch.tensor([6 * index[label] + component - 1 for label, component in rows], dtype=torch.long)
     if freedoms is None:
         if size not in (3 * n, 6 * n):
             raise InputError(
                 (name, "matrices"),
                 allowed=f"{3 * n} or {6 * n}, or `freedoms`",
-                noun=f"matrices of {name!r}",
                 state=f"have {size} rows for {n} nodes",
             )
         freedoms = size // n
@@ -217,15 +211,12 @@ def _freedoms(
     try:
         pairs = [(int(node), COMPONENTS.index(c) if isinstance(c, str) else int(c)) for node, c in freedoms]
     except (TypeError, ValueError):
-        raise InputError(
-            (name, "freedoms"), freedoms, "3, 6, or (node, component) of each row", noun=f"freedoms of {name!r}"
-        ) from None
+        raise InputError((name, "freedoms"), freedoms, "3, 6, or (node, component) of each row") from None
     if len(set(pairs)) != len(pairs) or any(not (0 <= k < n and 0 <= c < 6) for k, c in pairs) or len(pairs) != size:
         raise InputError(
             (name, "freedoms"),
             len(pairs),
             f"{size} different ones, nodes 0 to {n - 1}",
-            noun=f"freedoms of {name!r}",
             state=f"are {len(pairs)}",
         )
     return torch.tensor([6 * k + c for k, c in pairs], dtype=torch.long)
@@ -255,7 +246,6 @@ def _symmetric(name: str, key: str, pattern: Pattern, values: Tensor) -> Tensor:
         raise InputError(
             (name, key),
             allowed="symmetric to 1e-9",
-            noun=f"{key} of {name!r}",
             state=f"is not symmetric: {float(values[worst]):.9g} between {freedom(i)} and {freedom(j)}, "
             f"{float(values[pattern.transposed[worst]]):.9g} in the transposed entry",
         )

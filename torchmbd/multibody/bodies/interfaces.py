@@ -51,7 +51,7 @@ class Interface:
     weights: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        true_or_false("rigid of an Interface", self.rigid)
+        true_or_false(("Interface", "rigid"), self.rigid)
         if self.rigid and self.weights is not None:
             raise InputError(
                 "weights", allowed="one of both", noun="weights of an Interface", state="are given, and it is rigid"
@@ -94,13 +94,15 @@ class Interfaces:
 
     def _add_named(self, name: str, mesh: Any, key: Any, item: Any) -> None:
         if not isinstance(key, str) or not key:
-            raise InputError(
-                (name, "interface"), allowed="a word", noun=f"interface of {name!r}", state=f"has the name {key!r}"
-            )
+            raise InputError((name, "interface"), allowed="a word", state=f"has the name {key!r}")
         mount = self._add(name, mesh, item if isinstance(item, Interface) else Interface(item))
         if key in mesh.node_sets and sorted(node_indices(mesh, key)) != sorted(mount.nodes):
             raise InputError(
-                f"interface {key!r} of {name!r} has the name of other nodes of its mesh; allowed: another name"
+                (name, "interface"),
+                key,
+                "another name",
+                state="has the name of other nodes of its mesh",
+                noun=f"interface {key!r} of {name!r}",
             )
         self.frames[key] = mount
 
@@ -111,7 +113,6 @@ class Interfaces:
             raise InputError(
                 (name, "interface"),
                 allowed="each node once",
-                noun=f"interface of {name!r}",
                 state=f"has a node twice: {nodes}",
             )
         if len(nodes) == 1:
@@ -120,7 +121,6 @@ class Interfaces:
             raise InputError(
                 (name, "interface"),
                 allowed="single nodes",
-                noun=f"interface of {name!r}",
                 state="has several nodes, and nodes vary",
             )
         elif item.rigid:

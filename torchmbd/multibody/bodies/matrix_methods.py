@@ -101,7 +101,10 @@ class MatrixMethods:
             arguments = {"modes": modes, "Kr": Kr, "Mr": Mr, "node_sets": node_sets, "K2": K2}
             if beside := [key for key, x in arguments.items() if x is not None]:
                 raise InputError(
-                    f"{', '.join(beside)} of {name!r} given beside a file, which has them; allowed: a file alone"
+                    (name, beside[0]),
+                    allowed="a file alone",
+                    state="given beside a file, which has them",
+                    noun=f"{', '.join(beside)} of {name!r}",
                 )
             return cls._of(name, read_reduced(name, nodes), **options)
         structure = ReducedStructure(
@@ -151,7 +154,6 @@ class MatrixMethods:
                     raise InputError(
                         (body.name, "nodes"),
                         allowed="a body without links, or save_reduced",
-                        noun=f"nodes of {body.name!r}",
                         state="are linked",
                     )
                 K, M = matrices(Assembly(self.mesh, body.assembly.parts))

@@ -33,11 +33,12 @@ class _Linear(nn.Module):
                     (name, "derivatives"),
                     derivatives,
                     "a Python identifier",
-                    noun=f"derivatives of {name!r}",
                     state=f"has the name {key!r}",
                 )
             if not isinstance(item, (tuple, list)) or len(item) != 3:
-                raise InputError(f"derivatives of {name!r}: {key!r} is {item!r}; allowed: (value, dM, dK)")
+                raise InputError(
+                    (name, "derivatives", key), item, "(value, dM, dK)", noun=f"derivatives of {name!r}: {key!r}"
+                )
             value, dM, dK = item
             parameter = value if isinstance(value, nn.Parameter) else variable(value)
             self.base[key] = parameter.detach().clone()
@@ -101,7 +102,12 @@ class _DenseMatrices(nn.Module):
             matrices = self.module()
         pair = isinstance(matrices, (tuple, list)) and len(matrices) == 2
         if not pair or not all(isinstance(x, Tensor) and x.dtype == torch.float64 and x.dim() == 2 for x in matrices):
-            raise InputError(f"the module of {self.name!r} returns {matrices!r}; allowed: M and K [N, N] in float64")
+            raise InputError(
+                (self.name, "M"),
+                allowed="M and K [N, N] in float64",
+                state=f"returns {matrices!r}",
+                noun=f"the module of {self.name!r}",
+            )
         return tuple(matrices)
 
     def further(self) -> list[Any]:
@@ -125,15 +131,16 @@ def matrix_source(name: str, M: Any, K: Any, derivatives: Any, parameters: Any) 
     """The matrices as a function of the design, for arguments of `FlexibleBody.from_matrices`; None: they are constant."""
     if not isinstance(M, nn.Module) and not (callable(M) and not isinstance(M, Tensor)):
         if K is None or parameters is not None:
-            raise InputError(
-                (name, "K"), K, "matrices M and K", noun=f"K of {name!r}", state=f"is {K!r}, parameters {parameters!r}"
-            )
+            raise InputError((name, "K"), K, "matrices M and K", state=f"is {K!r}, parameters {parameters!r}")
         return _Linear(name, M, K, derivatives) if derivatives else None
     if K is not None or derivatives:
-        raise InputError(f"K and derivatives of {name!r} are given beside {M!r}; allowed: a module alone makes both")
-    if isinstance(M, nn.Module) == (parameters is not None):
         raise InputError(
-            (name, "parameters"), parameters, "those of a function, none for a module", noun=f"parameters of {name!r}"
+            (name, "K"),
+            allowed="a module alone makes both",
+            state=f"are given beside {M!r}",
+            noun=f"K and derivatives of {name!r}",
         )
+    if isinstance(M, nn.Module) == (parameters is not None):
+        raise InputError((name, "parameters"), parameters, "those of a function, none for a module")
     function: Any = M
     return _DenseMatrices(name, M if isinstance(M, nn.Module) else _Function(function, parameters))

@@ -52,7 +52,7 @@ class MatrixStructure:
         updated: bool,
     ) -> None:
         self.matrices, self.name, self.mesh, self.module = matrices, matrices.name, matrices.mesh, matrices.module
-        updated = true_or_false(f"updated of {self.name!r}", updated)
+        updated = true_or_false((self.name, "updated"), updated)
         with torch.no_grad():
             M, K = matrices.now()
             x = self.mesh.nodes
@@ -73,7 +73,10 @@ class MatrixStructure:
                 self._prepare(M, K, modes, reduction, interface, updated)
             elif reduction is not None or node_indices(self.mesh, interface):
                 raise InputError(
-                    f"reduction and interface of {self.name!r} are given beside modes; allowed: one of both"
+                    (self.name, "reduction"),
+                    allowed="one of both",
+                    state="are given beside modes",
+                    noun=f"reduction and interface of {self.name!r}",
                 )
             self._warn_units(self._reduce())
 
@@ -125,7 +128,7 @@ class MatrixStructure:
             try:
                 small = modal_basis(0.5 * (Kr + Kr.mT), 0.5 * (Mr + Mr.mT), self.shapes.shape[1])
             except InputError as error:
-                raise InputError(f"modes of {self.name!r}, which must be independent: {error}") from None
+                raise InputError((self.name, "modes"), rule=f"must be independent: {error}") from None
             return self.shapes @ small.vectors, small.stiffness
         try:
             basis = self.reduction(K.restrict(self.free), M.restrict(self.free))
@@ -145,25 +148,21 @@ class MatrixStructure:
                     (self.name, "interface"),
                     interface,
                     allowed,
-                    noun=f"interface of {self.name!r}",
                     state=f"has node {node}",
                 )
         rows = torch.isin(self.free // 6, torch.tensor(nodes, dtype=torch.long)).nonzero()[:, 0].tolist()
         kind = ("craig-bampton" if rows else "vibration") if kind is None else kind
         if kind not in REDUCTIONS:
-            raise unknown(f"reduction of {self.name!r}:", kind, REDUCTIONS)
+            raise unknown((self.name, "reduction"), kind, REDUCTIONS)
         most = len(self.free) - len(rows)
         if not (0 if rows else 1) <= int(modes) <= most:
-            raise InputError(
-                (self.name, "modes"), modes, f"a whole number up to {most}, or shapes", noun=f"modes of {self.name!r}"
-            )
+            raise InputError((self.name, "modes"), modes, f"a whole number up to {most}, or shapes")
         for key, A in (("M", M), ("K", K)):
             bad = self.free[_diagonal(A)[self.free] <= 0]
             if len(bad):
                 raise InputError(
                     (self.name, key),
                     allowed="mass and stiffness at every freedom",
-                    noun=f"{key} of {self.name!r}",
                     state=f"is not positive definite: {float(_diagonal(A)[bad[0]]):g} at {freedom(int(bad[0]))} ("
                     f"{len(bad)} freedoms are so)",
                 )
@@ -186,7 +185,6 @@ class MatrixStructure:
                 (self.name, "K"),
                 K,
                 "an elastic body in one piece",
-                noun=f"K of {self.name!r}",
                 state="is not positive definite with the reference held: a mode has the eigenvalue "
                 f"{float(lowest[0]):g} 1/s2, and {moving} moves most in it",
             )
@@ -204,7 +202,6 @@ class MatrixStructure:
                 (self.name, "K"),
                 allowed="the matrix of the body without supports, rows in the order of the nodes, in the units of the "
                 "nodes",
-                noun=f"K of {self.name!r}",
                 state=f"resists a rigid {motion[int(share.argmax())]} (forces {float(share.max()):.1e} of their parts)",
             )
         masses = torch.einsum("ni,ni->i", rigid[:, :3], M @ rigid[:, :3])
@@ -213,7 +210,6 @@ class MatrixStructure:
                 (self.name, "M"),
                 M,
                 "the same along all, > 0",
-                noun=f"M of {self.name!r}",
                 state=f"has the masses {masses.tolist()} kg along x, y, z",
             )
 
@@ -233,7 +229,6 @@ class MatrixStructure:
                     (self.name, "reference"),
                     reference,
                     "a node with rotations, or three at least that are not on a line",
-                    noun=f"reference of {self.name!r}",
                     state=f"is {reference!r}, and does not hold the body",
                 )
             return nodes, held
@@ -243,7 +238,12 @@ class MatrixStructure:
         center = torch.stack([MR[1, 2] - MR[2, 1], MR[2, 0] - MR[0, 2], MR[0, 1] - MR[1, 0]]) / (2.0 * mass)
         full = present.reshape(-1, 6)[:, :3].all(1)
         if not full.any():
-            raise InputError(f"nodes of {self.name!r}: none has three displacements; allowed: one at least")
+            raise InputError(
+                (self.name, "nodes"),
+                allowed="one at least",
+                state="has three displacements",
+                noun=f"nodes of {self.name!r}: none",
+            )
         distance = (x - center).square().sum(1)
         distance[~full] = torch.inf
         node = int(distance.argmin())
@@ -258,21 +258,19 @@ class MatrixStructure:
             raise InputError(
                 (self.name, "nodes"),
                 allowed="a body in space",
-                noun=f"nodes of {self.name!r}",
                 state="lie on a line and have no rotations",
             )
         return [node], [*first, *(int(k) for k in order[:3])]
 
     def _given_shapes(self, modes: Any) -> Float[Tensor, "6n m"]:
         """Given modes on all degrees of freedom."""
-        shapes = reals(f"modes of {self.name!r}", modes)
+        shapes = reals((self.name, "modes"), modes)
         rows = len(self.matrices.freedoms)
         if shapes.dim() != 2 or shapes.shape[0] != rows or not 0 < shapes.shape[1] <= rows:
             raise InputError(
                 (self.name, "modes"),
                 shapes,
                 f"a number, or shapes [{rows}, m]",
-                noun=f"modes of {self.name!r}",
                 state=f"have shape {tuple(shapes.shape)}",
             )
         full = torch.zeros(6 * len(self.mesh.nodes), shapes.shape[1], dtype=torch.float64)
@@ -288,7 +286,6 @@ class MatrixStructure:
             raise InputError(
                 (self.name, "modes"),
                 allowed="deformations, no rigid motion",
-                noun=f"modes of {self.name!r}",
                 state=f"contain one without stiffness (eigenvalues {float(values[0]):g} to {float(values[-1]):g} 1/s2)",
             )
         first = math.sqrt(float(values[0])) / (2.0 * math.pi)

@@ -29,7 +29,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 from torchmbd.fem.reduction.padding import with_stiff_padding
 from torchmbd.math.checked_numbers import parameter, scalar
 from torchmbd.math.variable import is_variable, number, stacked
@@ -52,18 +52,17 @@ class ModalDamping(nn.Module):
     def __init__(self, body: str, time: float | Tensor = 0.0):
         super().__init__()
         self.body = body
-        self.time = self._number("damping", time, "s")
+        self.time = self._number((body, "damping"), time, "s")
         self.rate, self.ratios, self._shared = 0.0, None, True
 
-    def _number(self, label: str, x: Any, unit: str) -> float | Tensor:
+    def _number(self, path: Path, x: Any, unit: str) -> float | Tensor:
         allowed = "zero or positive, or mbd.variable(...) of such a number"
-        value = scalar(f"{label} of {self.body!r}", number(x), allowed, f" {unit}")
+        value = scalar(path, number(x), allowed, f" {unit}")
         if value < 0.0:
             raise InputError(
-                (str(self.body), label),
+                path,
                 value,
                 allowed,
-                noun=f"{label} of {self.body!r}",
                 shown=f"{value!r} {unit}",
             )
         return x if is_variable(x) else value
@@ -75,7 +74,7 @@ class ModalDamping(nn.Module):
             f"a number from 0 to 1, or {modes[0]} of them, one for each mode; mbd.variable(...) for all, or a "
             "torch.nn.Parameter with one for each"
         )
-        name, plain = f"damping ratio of {self.body!r}", ratio.detach() if isinstance(ratio, nn.Parameter) else ratio
+        name, plain = (self.body, "damping", "ratio"), ratio.detach() if isinstance(ratio, nn.Parameter) else ratio
         several = (isinstance(plain, Sequence) and not isinstance(plain, str)) or (
             isinstance(plain, Tensor) and plain.dim()
         )
@@ -83,7 +82,7 @@ class ModalDamping(nn.Module):
         numbers = [scalar(name, z, allowed) for z in values]
         if (several and len(numbers) not in modes) or not all(0.0 <= z < 1.0 for z in numbers):
             raise InputError(name, plain, allowed)
-        self.rate, self._shared = self._number("damping rate", rate, "1/s"), not several
+        self.rate, self._shared = self._number((self.body, "damping", "rate"), rate, "1/s"), not several
         if "ratios" in self.__dict__:
             del self.ratios
         if isinstance(ratio, nn.Parameter):

@@ -65,10 +65,10 @@ def reduced(
     least, most = 0 if held else 1, len(free) - len(held)
     if not is_whole(modes) or not least <= modes <= most:
         allowed = f"a whole number, {least} to {most}, the freedoms of the mesh"
-        raise InputError((name, "modes"), modes, allowed, noun=f"modes of {name!r}")
-    updated = true_or_false(f"updated of {name!r}", updated)
+        raise InputError((name, "modes"), modes, allowed)
+    updated = true_or_false((name, "updated"), updated)
     if kind not in REDUCTIONS:
-        raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
+        raise unknown((name, "reduction"), kind, REDUCTIONS)
     try:
         reduction = REDUCTIONS[kind](int(modes), held, updated, shapes)
         with torch.no_grad():
@@ -131,9 +131,7 @@ def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence
     for node in interface:
         if node in reference or list(interface).count(node) > 1:
             allowed = "nodes that are no reference, each once"
-            raise InputError(
-                (name, "interface"), interface, allowed, noun=f"interface of {name!r}", state=f"has node {node}"
-            )
+            raise InputError((name, "interface"), interface, allowed, state=f"has node {node}")
     freedoms = torch.tensor([6 * node + i for node in interface for i in range(6)], dtype=torch.long)
     bound = freedoms[~torch.isin(freedoms, free)]
     if len(bound):
@@ -142,7 +140,6 @@ def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence
             (name, "interface"),
             interface,
             "nodes with six free components, such as the leader of a link",
-            noun=f"interface of {name!r}",
             state=f"has node {node}, whose component {i} follows others by a link or has no stiffness",
         )
     return tuple(torch.searchsorted(free, freedoms).tolist())

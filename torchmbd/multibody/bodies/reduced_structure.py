@@ -62,7 +62,7 @@ class ReducedStructure:
         K2: Any = None,
     ) -> None:
         self.name = name
-        x = nodes.nodes if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes).detach()
+        x = nodes.nodes if isinstance(nodes, Mesh) else reals((name, "nodes"), nodes).detach()
         self.mesh = mesh_of(name, nodes, x, node_sets)
         self.origin = torch.zeros(3, dtype=torch.float64)
         psi = _shapes(name, len(x), modes)
@@ -82,53 +82,49 @@ class ReducedStructure:
         return dict(self._structure)
 
     def _symmetric_matrix(self, key: str, matrix: Any) -> Float[Tensor, "m m"]:
-        A = reals(f"{key} of {self.name!r}", matrix).detach()
+        A = reals((self.name, key), matrix).detach()
         if A.shape != (self.size, self.size) or not bool(torch.isfinite(A).all()):
             raise InputError(
                 (self.name, key),
                 A,
                 f"[{self.size}, {self.size}], finite",
-                noun=f"{key} of {self.name!r}",
                 state=f"has shape {tuple(A.shape)}",
             )
         if float((A - A.T).abs().max()) > NORMAL * float(A.abs().max()):
             raise InputError(
                 (self.name, key),
                 allowed="symmetric to 1e-9",
-                noun=f"{key} of {self.name!r}",
                 state=f"is not symmetric: {A.tolist()}",
             )
         return 0.5 * (A + A.T)
 
     def _symmetric_cube(self, cube: Any) -> Float[Tensor, "m m m"]:
-        K2 = reals(f"K2 of {self.name!r}", cube).detach()
+        K2 = reals((self.name, "K2"), cube).detach()
         if K2.shape != (self.size,) * 3 or not bool(torch.isfinite(K2).all()):
             shape = tuple(K2.shape)
             raise InputError(
                 (self.name, "K2"),
                 allowed=f"{(self.size,) * 3}, finite",
-                noun=f"K2 of {self.name!r}",
                 state=f"has shape {shape}",
             )
         if max(float((K2 - K2.transpose(0, k)).abs().max()) for k in (1, 2)) > NORMAL * float(K2.abs().max()):
             raise InputError(
                 (self.name, "K2"),
                 allowed="derivatives of an energy",
-                noun=f"K2 of {self.name!r}",
                 state="changes with the order of its axes",
             )
         return K2
 
     def _invariants(self, numbers: Mapping[str, Any]) -> dict[str, Tensor]:
         if not isinstance(numbers, Mapping):
-            raise InputError((self.name, "invariants"), numbers, "name -> numbers", noun=f"invariants of {self.name!r}")
+            raise InputError((self.name, "invariants"), numbers, "name -> numbers")
         values = dict(numbers)
         if "J" in values:
-            J = reals(f"J of {self.name!r}", values.pop("J"))
+            J = reals((self.name, "J"), values.pop("J"))
             values.setdefault("P0", 0.5 * J.trace() * torch.eye(3, dtype=J.dtype) - J)
         for key in values:
             if key not in SHAPES:
-                raise unknown(f"invariant of {self.name!r}", key, [*SHAPES, "J"])
+                raise unknown((self.name, "invariant"), key, [*SHAPES, "J"])
         invariants = {}
         for key, axes in SHAPES.items():
             shape = tuple(self.size if n == "m" else int(n) for n in axes)
@@ -136,16 +132,14 @@ class ReducedStructure:
                 raise InputError(
                     (self.name, "invariants"),
                     allowed=f"all of {', '.join(SHAPES)}",
-                    noun=f"invariants of {self.name!r}",
                     state=f"lack {key!r}",
                 )
-            x = reals(f"{key} of {self.name!r}", values.get(key, np.zeros(shape))).detach()
+            x = reals((self.name, key), values.get(key, np.zeros(shape))).detach()
             if x.shape != shape or not bool(torch.isfinite(x).all()):
                 raise InputError(
                     (self.name, key),
                     x,
                     f"{shape}, finite",
-                    noun=f"{key} of {self.name!r}",
                     state=f"has shape {tuple(x.shape)}",
                 )
             invariants[key] = x
@@ -186,14 +180,13 @@ class ReducedStructure:
                 raise InputError(
                     (self.name, key),
                     allowed="positive",
-                    noun=f"{key} of {self.name!r}",
                     state=f"is not positive definite: {value:g}",
                 )
 
 
 def _shapes(name: str, n: int, modes: Any) -> Float[Tensor, "n 6 m"]:
     """Modes [n, 6, m]; of three rows for each node the rotations are zero."""
-    psi = reals(f"modes of {name!r}", modes).detach()
+    psi = reals((name, "modes"), modes).detach()
     if psi.dim() == 2 and psi.shape[0] in (3 * n, 6 * n):
         psi = psi.unflatten(0, (n, -1))
     if psi.dim() != 3 or psi.shape[0] != n or psi.shape[1] not in (3, 6) or not bool(torch.isfinite(psi).all()):
@@ -201,7 +194,6 @@ def _shapes(name: str, n: int, modes: Any) -> Float[Tensor, "n 6 m"]:
             (name, "modes"),
             psi,
             f"[{n}, 6, m], or [{n}, 3, m] of displacements",
-            noun=f"modes of {name!r}",
             state=f"have shape {tuple(psi.shape)}",
         )
     return torch.cat([psi, psi.new_zeros(n, 6 - psi.shape[1], psi.shape[2])], dim=1)
@@ -232,9 +224,7 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping
 def read_reduced(name: str, path: str | Path) -> ReducedStructure:
     """Read a file of `save_reduced`; InputError for other files."""
     if not Path(path).is_file():
-        raise InputError(
-            (name, "nodes"), str(path), "a file of save_reduced that exists, or numbers", noun=f"nodes of {name!r}"
-        )
+        raise InputError((name, "nodes"), str(path), "a file of save_reduced that exists, or numbers")
     try:
         with np.load(path, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}

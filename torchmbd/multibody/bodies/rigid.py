@@ -56,7 +56,7 @@ class Ground:
         x, y, z   each may be mbd.variable(...): a design variable of the joint or force, "hinge_a.x"
         turn      rotation vector of the triad, in its own axes [rad], of numbers or variables: "hinge_a.turn_x"
         """
-        return frame_at("point", self, (x, y, z), axes, turn)
+        return frame_at(self, (x, y, z), axes, turn)
 
 
 @keyword_hints
@@ -102,17 +102,15 @@ class RigidBody(nn.Module):
         super().__init__()
         self.name = identifier("rigid body", name)
         varies = isinstance(mass, nn.Parameter)
-        m = positive(f"mass of {name!r}", mass.detach() if varies else mass, "kg")
+        m = positive((name, "mass"), mass.detach() if varies else mass, "kg")
         set_start(self, position, axes, velocity, angular_velocity)
         J = _inertia(name, inertia)
         self._principal = isinstance(inertia, nn.Parameter) and inertia.dim() == 1
         radius = float(torch.linalg.eigvalsh(J)[-1] / m) ** 0.5
         warn_unusual(f"inertia: radius of gyration of {name!r}", radius, "m", GYRATION)
         register(self, "mass", _scalar(name, mass) if varies else torch.tensor(m, dtype=torch.float64))
-        register(self, "center", vector_or_parameter(f"center of {name!r}", center))
-        register(
-            self, "inertia", parameter(f"inertia of {name!r}", inertia) if isinstance(inertia, nn.Parameter) else J
-        )
+        register(self, "center", vector_or_parameter((name, "center"), center))
+        register(self, "inertia", parameter((name, "inertia"), inertia) if isinstance(inertia, nn.Parameter) else J)
 
     def at(
         self,
@@ -127,7 +125,7 @@ class RigidBody(nn.Module):
         x, y, z   each may be mbd.variable(...): a design variable of the joint or force, "hinge_b.x"
         turn      rotation vector of the triad, in its own axes [rad], of numbers or variables: "hinge_b.turn_x"
         """
-        return frame_at(f"point on {self.name!r}", self, (x, y, z), axes, turn)
+        return frame_at(self, (x, y, z), axes, turn)
 
     def invariants(self) -> dict[str, Tensor]:
         """Mass, first and second moments about the origin of the body (keys as in fem/reduction/invariants.py)."""
@@ -155,20 +153,17 @@ def _scalar(name: str, mass: nn.Parameter) -> nn.Parameter:
             (name, "mass"),
             mass,
             "[], as mbd.variable(...)",
-            noun=f"mass of {name!r}",
             state=f"is a Parameter of shape {tuple(mass.shape)}",
         )
-    return parameter(f"mass of {name!r}", mass)
+    return parameter((name, "mass"), mass)
 
 
 def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
     allowed = "three numbers or a symmetric 3 x 3 matrix [kg m2]"
-    J = read_numbers(
-        f"inertia of {name!r}", inertia.detach() if isinstance(inertia, nn.Parameter) else inertia, allowed
-    )
+    J = read_numbers((name, "inertia"), inertia.detach() if isinstance(inertia, nn.Parameter) else inertia, allowed)
     J = torch.diag(J) if J.shape == (3,) else J
     if J.shape != (3, 3) or not bool(torch.isfinite(J).all()) or not torch.allclose(J, J.T, rtol=1e-12, atol=0):
-        raise InputError((name, "inertia"), inertia, allowed, noun=f"inertia of {name!r}")
+        raise InputError((name, "inertia"), inertia, allowed)
     principal = torch.linalg.eigvalsh(J)
     # A body of positive mass has J1 + J2 >= J3; a rod has J1 = 0 and a driven body may have none at all.
     if float(principal[0]) < 0 or float(principal[0] + principal[1] - principal[2]) < -1e-12 * float(principal[2]):
@@ -176,7 +171,6 @@ def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
             (name, "inertia"),
             inertia,
             "none negative, the sum of any two at least the third",
-            noun=f"inertia of {name!r}",
             state=f"has the principal values {principal.tolist()} kg m2",
         )
     return J

@@ -44,8 +44,10 @@ def check_stressed(name: str, what: str, parts: Mapping[str, Any]) -> None:
     for part_name, part in parts.items():
         if isinstance(part, GivenElements):
             raise InputError(
-                f"part {part_name!r} of {name!r} is rods, springs or solids, which have no geometric stiffness here; "
-                f"allowed in {what}: plates and beams"
+                (name, part_name),
+                rule=f"is rods, springs or solids, which have no geometric stiffness here; allowed in {what}: plates and "
+                "beams",
+                noun=f"part {part_name!r} of {name!r}",
             )
 
 

@@ -125,7 +125,12 @@ def _refuse_repeated(argument: str, elements: Sequence[Any]) -> None:
     """InputError where a list has one joint or force element several times."""
     for element, times in Counter(elements).items():
         if times > 1:
-            raise InputError(f"{argument}: {element.name!r} is listed {times} times; allowed: each once")
+            raise InputError(
+                (argument, element.name),
+                allowed="each once",
+                state=f"is listed {times} times",
+                noun=f"{argument}: {element.name!r}",
+            )
 
 
 def _refuse_other_joints(joints: Sequence[Joint]) -> None:
@@ -135,8 +140,10 @@ def _refuse_other_joints(joints: Sequence[Joint]) -> None:
         for other in joint.joints:
             if id(other) not in present:
                 raise InputError(
-                    f"joint {joint.name!r} couples {other.name!r}, which is not among the joints of the system. "
-                    f"Try: joints=[..., {other.name}, {joint.name}]"
+                    ("joints", joint.name),
+                    rule=f"couples {other.name!r}, which is not among the joints of the system",
+                    hint=f"joints=[..., {other.name}, {joint.name}]",
+                    noun=f"joint {joint.name!r}",
                 )
 
 
@@ -144,7 +151,9 @@ def _equations(joint: Joint, attachments: AttachmentTable, number: dict[int, int
     for frame in joint.frames:
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
-                f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
+                ("joints", joint.name),
+                rule=f"is attached to body {frame.body.name!r}, which is not among the bodies of the system",
+                noun=f"joint {joint.name!r}",
             )
     equations = _check_kinds(joint, list(joint.equations(attachments)), Primitive, KINDS)
     for equation in equations:
@@ -162,7 +171,6 @@ def _check_constants(name: str, equation: Equation) -> None:
         raise InputError(
             (name, "constants"),
             allowed=f"{count} finite numbers",
-            noun=f"constants of {name!r}",
             state=f"({kind}) are {equation.data!r}",
         )
 
@@ -171,7 +179,9 @@ def _actions(force: ForceElement, attachments: AttachmentTable, number: dict[int
     for frame in (*force.frames, *force.measured):
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
-                f"force {force.name!r} acts on body {frame.body.name!r}, which is not among the bodies of the system"
+                ("forces", force.name),
+                rule=f"acts on body {frame.body.name!r}, which is not among the bodies of the system",
+                noun=f"force {force.name!r}",
             )
     return _check_kinds(force, list(force.actions(attachments)), Action, ACTIONS)
 

@@ -18,7 +18,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 from torchmbd.math.checked_numbers import nonnegative, parameter, reals
 from torchmbd.math.rigid_motion import LARGEST, logarithm
 from torchmbd.math.variable import ParameterVector
@@ -54,20 +54,19 @@ class BeamElement(ForceElement):
         super().__init__((a, b), name)
         for frame in self.frames:
             _check(self.name, frame)
-        label = f"stiffness of {self.name!r}"
+        label = (self.name, "stiffness")
         self._variables = nn.ParameterDict()
         if isinstance(stiffness, nn.Parameter):
             self._variables["stiffness"] = parameter(label, stiffness)
         K = reals(label, stiffness.detach() if isinstance(stiffness, Tensor) else stiffness)
         _check_stiffness(label, K)
         self.stiffness: Tensor = self._variables["stiffness"] if len(self._variables) else K
-        self.damping = nonnegative(f"damping of {self.name!r}", damping, "s")
+        self.damping = nonnegative((self.name, "damping"), damping, "s")
         self.rest = _screw(a, b)
         if float(self.rest[3:].norm()) > LARGEST:
             raise InputError(
                 (self.name, "frames"),
                 allowed="less",
-                noun=f"frames of {self.name!r}",
                 state=f"are turned by more than {LARGEST} rad",
             )
 
@@ -96,7 +95,7 @@ class BeamElement(ForceElement):
         return data
 
 
-def _check_stiffness(name: str, K: Tensor) -> None:
+def _check_stiffness(name: str | Path, K: Tensor) -> None:
     """InputError for anything but a symmetric positive definite matrix [6, 6]."""
     allowed = "a symmetric, positive definite matrix [6, 6]"
     if K.shape != (6, 6) or not bool(torch.isfinite(K).all()):

@@ -77,10 +77,10 @@ class Bushing(ForceElement):
     def _springs(self, kind: str, *values: Any) -> list[Any]:
         """The laws of the three axes: of stiffness and damping."""
         labels = [f"{kind}stiffness", f"{kind}damping"]
-        k, c = (expand_numbers(f"{label} of {self.name!r}", x, 3) for label, x in zip(labels, values, strict=True))
+        k, c = (expand_numbers((self.name, label), x, 3) for label, x in zip(labels, values, strict=True))
         for label, x in zip(labels, (k, c), strict=True):
             for y in x:
-                nonnegative(f"{label} of {self.name!r}", number(y), _UNITS[label])
+                nonnegative((self.name, label), number(y), _UNITS[label])
         result = []
         for i, axis in enumerate("xyz"):
             names = [

@@ -71,7 +71,6 @@ class _Stop(_Contact):
                 (self.name, "lower"),
                 values[0],
                 "lower below upper",
-                noun=f"lower of {self.name!r}",
                 shown=f"{values[0]:g}, upper {values[1]:g}",
             )
         self.width, self.middle = values[-1] - values[0], 0.5 * (values[0] + values[-1])
@@ -130,7 +129,6 @@ class RotationalStop(_Stop):
                 (self.name, "limits"),
                 self.width,
                 f"at most {MOST_TURN:.4g} rad, because an angle is known only up to a whole turn",
-                noun=f"limits of {self.name!r}",
                 state=f"are {self.width:.4g} rad apart",
             )
 

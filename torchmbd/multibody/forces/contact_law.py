@@ -62,7 +62,7 @@ class ContactNumbers(nn.Module):
         super().__init__()
         self.names = tuple(numbers)
         for name, x in numbers.items():
-            x = finite(f"{name} of {owner!r}", x)
+            x = finite((owner, name), x)
             least = _LEAST.get(name, -math.inf)
             if number(x) < least or (name in _POSITIVE and not number(x) > 0.0):
                 allowed = "a positive number" if name in _POSITIVE else f"{least:g} or more"
@@ -70,7 +70,6 @@ class ContactNumbers(nn.Module):
                     (str(owner), name),
                     number(x),
                     f"{allowed}, or mbd.variable(...) of such a number",
-                    noun=f"{name} of {owner!r}",
                 )
             if is_variable(x):
                 self.register_parameter(name, x)

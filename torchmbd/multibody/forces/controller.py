@@ -57,9 +57,7 @@ class Controller(ForceElement):
         self.inputs = list_of("inputs", inputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
         self.outputs = list_of("outputs", outputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
         if not self.outputs:
-            raise InputError(
-                (name, "outputs"), outputs, "at least one actuator", noun=f"outputs of {name!r}", state="is empty"
-            )
+            raise InputError((name, "outputs"), outputs, "at least one actuator", state="is empty")
         frames = tuple(frame for x in self.outputs for frame in x.frames)
         super().__init__(tuple(frame for frame in frames if not isinstance(frame.body, Ground))[:1], name)
         self.frames, self.measured = frames, tuple(frame for x in self.inputs for frame in x.frames)

@@ -42,13 +42,25 @@ class ForceElement:
         kind = type(self).__name__
         for frame in frames:
             if not isinstance(frame, Frame):
-                raise InputError(f"{kind} got {frame!r}; allowed: frames, such as body.at(...)")
+                raise InputError("frames", frame, "frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
         if all(isinstance(frame.body, Ground) for frame in frames):
-            raise InputError(f"{kind} acts on {', '.join(map(repr, frames))}; allowed: at least one frame on a body")
+            raise InputError(
+                "frames",
+                frames,
+                "at least one frame on a body",
+                state=f"acts on {', '.join(map(repr, frames))}",
+                noun=kind,
+            )
         if len(frames) == 2 and frames[0].body is frames[1].body:
-            raise InputError(f"{kind} acts between {frames[0]!r} and {frames[1]!r}; allowed: two different bodies")
+            raise InputError(
+                "frames",
+                frames,
+                "two different bodies",
+                state=f"acts between {frames[0]!r} and {frames[1]!r}",
+                noun=kind,
+            )
         if name is not None and not isinstance(name, str):
-            raise InputError(f"name of a {kind} is {name!r}; allowed: a string")
+            raise InputError("name", name, "a string", noun=f"name of a {kind}")
         self.frames: tuple[Frame, ...] = frames
         self.measured: tuple[Frame, ...] = ()  # frames without a force whose motion is read
         self.name = name or "_".join([kind.lower(), *(frame.body.name for frame in frames)])

@@ -28,7 +28,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, user_line
+from torchmbd.errors import InputError, Path, user_line
 from torchmbd.math.checked_numbers import reals, scalar
 from torchmbd.math.elementwise import reciprocal, tanh
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
@@ -58,7 +58,7 @@ class Spring:
         for name in self.data_fields:
             x = getattr(self, name)
             if not getattr(x, "shape", ()):  # else data of a batch of designs, which were checked
-                scalar(f"{name} of a Spring", number(x))
+                scalar(("Spring", name), number(x))
 
     @property
     def center(self) -> float:
@@ -105,7 +105,7 @@ class Table:
                 "knots", self.knots, "two or more pairs (s, f) with growing s, finite", state=f"are {self.knots!r}"
             )
         object.__setattr__(self, "knots", tuple((s, f) for s, f in knots.tolist()))
-        scalar("damping of a Table", self.damping)
+        scalar(("Table", "damping"), self.damping)
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         total = self.knots[0][1] - self.damping * rate
@@ -146,8 +146,9 @@ class Pieces:
         n = len(self.borders)
         if len(self.intercepts) != n + 1 or len(self.inclines) != n + 1 or not self.width > 0:
             raise InputError(
-                f"{n} borders, {len(self.intercepts)} intercepts, {len(self.inclines)} inclines, width {self.width!r}; "
-                "allowed: one border less than pieces, a positive width"
+                "borders",
+                allowed="one border less than pieces, a positive width",
+                state=f"are {n}, with {len(self.intercepts)} intercepts, {len(self.inclines)} inclines, width {self.width!r}",
             )
         for x in (*self.borders, *self.intercepts, *self.inclines, self.width, self.damping):
             scalar("a number of Pieces", x)
@@ -222,7 +223,7 @@ class Gap:
     def __post_init__(self) -> None:
         for name in ("stiffness", "limit", "damping", "smooth"):
             least = -math.inf if name == "limit" else 0.0
-            if not scalar(f"{name} of a Gap", getattr(self, name)) >= least:
+            if not scalar(("Gap", name), getattr(self, name)) >= least:
                 raise InputError(name, getattr(self, name), "zero or positive", noun=f"{name} of a Gap")
         if self.sign not in (1.0, -1.0):
             raise InputError("sign", self.sign, "1.0 or -1.0", noun="sign of a Gap")
@@ -262,7 +263,7 @@ class Friction:
             x = getattr(self, name)
             if getattr(x, "shape", ()):
                 continue  # data of a batch of designs, which were checked
-            if not scalar(f"{name} of a Friction", number(x)) > 0.0:
+            if not scalar(("Friction", name), number(x)) > 0.0:
                 raise InputError(
                     name, number(x), "positive, or mbd.variable(...) of such a number", noun=f"{name} of a Friction"
                 )
@@ -289,7 +290,7 @@ LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap, Friction)
 def check_law(name: str, law: Any) -> Any:
     """The law as it is, after one evaluation at zero; InputError names its force element."""
     if not callable(law):
-        raise InputError((name, "law"), law, "a torch function of (s, s', t)", noun=f"law of {name!r}")
+        raise InputError((name, "law"), law, "a torch function of (s, s', t)")
     if data_fields(law):
         check_data_fields(name, law)
     zero = torch.zeros(1, 1, 1, dtype=torch.float64)
@@ -299,12 +300,11 @@ def check_law(name: str, law: Any) -> Any:
             (name, "law"),
             law,
             "a finite tensor of the shape of s, [1, 1, lanes]",
-            noun=f"law of {name!r}",
             state=f"gives {f!r} at s = s' = t = 0",
         )
     if not hasattr(law, "slopes") and not isinstance(law, Scaled):
         function: Any = law
-        allowed = "allowed: a torch function of (s, s', t), or mbd.forces.Table of points"
+        allowed = "a torch function of (s, s', t), or mbd.forces.Table of points"
 
         def by_coordinate(s: Tensor) -> Tensor:
             return function(s.reshape(1, 1, 1), zero, zero[0, 0, 0])[0, 0, 0]
@@ -313,7 +313,7 @@ def check_law(name: str, law: Any) -> Any:
             return function(zero, rate.reshape(1, 1, 1), zero[0, 0, 0])[0, 0, 0]
 
         for argument in (by_coordinate, by_rate):
-            require_differentiable(f"law of {name!r}", argument, allowed, signed=True)
+            require_differentiable((name, "law"), argument, allowed, signed=True)
     return law
 
 
@@ -323,15 +323,23 @@ def check_data_fields(name: str, law: Any) -> None:
     places = {f.name for f in fields(law)} if is_dataclass(law) else set()
     rule = "a frozen dataclass with data_fields, a tuple of names of its fields, and slopes(s, s', t)"
     if not isinstance(names, tuple) or not set(names) <= places:
-        raise InputError(f"data_fields of the law of {name!r} ({kind.__name__}) are {names!r}; allowed: {rule}")
+        raise InputError(
+            (name, "law", "data_fields"),
+            names,
+            rule,
+            state=f"are {names!r}",
+            noun=f"data_fields of the law of {name!r} ({kind.__name__})",
+        )
     if isinstance(law, Scaled):
         return
     inner = getattr(law, "law", None) if "law" not in names else None
     others = {x: getattr(law, x) for x in places - {*names}}
     if not hasattr(law, "slopes") or callable(inner) or not all(isinstance(x, Hashable) for x in others.values()):
         raise InputError(
-            f"the law of {name!r} ({kind.__name__}) has data_fields, but no slopes, or a field that holds a law or a list; "
-            f"allowed: {rule}; a tuple for a list; mbd.forces.Scaled around another law"
+            (name, "law", "data_fields"),
+            allowed=f"{rule}; a tuple for a list; mbd.forces.Scaled around another law",
+            state="has data_fields, but no slopes, or a field that holds a law or a list",
+            noun=f"the law of {name!r} ({kind.__name__})",
         )
     numbers = {x: getattr(law, x) for x in names}
     numbers = {x: y.item() if isinstance(y, Tensor) and y.numel() == 1 else y for x, y in numbers.items()}
@@ -341,14 +349,16 @@ def check_data_fields(name: str, law: Any) -> None:
         plain(Pair(state), Pair(state), state[0, 0, 0])
     except TypeError as error:
         raise InputError(
-            f"the law of {name!r} ({kind.__name__}) has data_fields and does not take pairs of a number and its tangents: "
-            f"{error} in {user_line(error)}; allowed: + - * / and the functions of torchmbd.math.elementwise"
+            (name, "law", "data_fields"),
+            allowed="+ - * / and the functions of torchmbd.math.elementwise",
+            state=f"has data_fields and does not take pairs of a number and its tangents: {error} in {user_line(error)}",
+            noun=f"the law of {name!r} ({kind.__name__})",
         ) from error
 
 
 def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
     """The value of a law at some arguments; InputError where it raises, or has parameters without a gradient."""
-    refuse_lost_gradients(f"law of {name!r}", law, VARIABLES)
+    refuse_lost_gradients((name, "law"), law, VARIABLES)
     try:
         with torch.enable_grad():
             f = law(*at)
@@ -356,14 +366,13 @@ def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
         raise InputError(
             (name, "law"),
             allowed=f"a torch function of {len(at)} tensors",
-            noun=f"law of {name!r}",
             state=f"raises {error!r} in {user_line(error)}",
         ) from error
     refuse_gradients(f"what the law of {name!r} returns", f, VARIABLES)
     return f
 
 
-def expand_numbers(name: str, x: Any, count: int) -> list[Any]:
+def expand_numbers(name: str | Path, x: Any, count: int) -> list[Any]:
     """The argument x, `count` finite numbers or one for all, as a list; each may be a design variable."""
     single = isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.dim() == 0)
     items: Any = [x] * count if single else x

@@ -26,7 +26,7 @@ class _Load(ForceElement):
     def __init__(self, frame: Frame, vector: Vector, axes: str = "ground", name: str | None = None):
         super().__init__((frame,), name)
         if axes not in ("ground", "frame"):
-            raise InputError((self.name, "axes"), axes, "'ground', 'frame'", noun=f"axes of {self.name!r}")
+            raise InputError((self.name, "axes"), axes, "'ground', 'frame'")
         self.axes = axes
         parts = _parts(self.name, vector)
         self.laws = [
@@ -41,14 +41,13 @@ def _parts(name: str, vector: Any) -> list[Any]:
     """The three components of a vector of numbers, of a function of time, or of Scaled of a function."""
     law: Any = vector.law if isinstance(vector, Scaled) else vector
     if not callable(law):
-        return expand_numbers(f"vector of {name!r}", law, 3)
+        return expand_numbers((name, "vector"), law, 3)
     result = evaluate_law(name, law, torch.zeros((), dtype=torch.float64))
     if not isinstance(result, Tensor) or result.shape != (3,) or not bool(torch.isfinite(result).all()):
         raise InputError(
             (name, "vector"),
             vector,
             "a torch function of time, [] [s] -> finite [3]",
-            noun=f"vector of {name!r}",
             state=f"gives {result!r} at t = 0",
         )
     parts = [partial(_component, law, k) for k in range(3)]

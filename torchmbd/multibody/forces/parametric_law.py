@@ -67,7 +67,7 @@ class LawVariables:
         if data_fields(law):
             check_data_fields(self.name, law)
         labels = {field: names.get(field, field) for field in data_fields(law)}
-        numbers = {field: finite(f"{label} of {self.name!r}", getattr(law, field)) for field, label in labels.items()}
+        numbers = {field: finite((self.name, label), getattr(law, field)) for field, label in labels.items()}
         rows = tuple((field, self._row(labels[field], x)) for field, x in numbers.items() if is_variable(x))
         if labels:  # else `law` may be anything, a tensor with a method `positive` too
             for sign in ("positive", "nonnegative"):
@@ -83,7 +83,7 @@ class LawVariables:
         if callable(x):
             law: Any = x
             return OfTime(law, size)
-        x = finite(f"{label} of {self.name!r}", x)
+        x = finite((self.name, label), x)
         return self.law(Scaled(x, OfTime(1.0, size)), factor=label) if is_variable(x) else OfTime(x, size)
 
     def _row(self, label: str, x: nn.Parameter) -> int:

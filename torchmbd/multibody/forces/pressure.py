@@ -60,7 +60,13 @@ class Pressure(ForceElement):
     ):
         mesh = getattr(body, "mesh", None)
         if not isinstance(mesh, Mesh) or mesh.cell_count == 0:
-            raise InputError(f"Pressure acts on {body!r}; allowed: a flexible body with triangles or quadrilaterals")
+            raise InputError(
+                "body",
+                body,
+                "a flexible body with triangles or quadrilaterals",
+                state=f"acts on {body!r}",
+                noun="Pressure",
+            )
         self.body, self.pressure, self.direction = body, pressure, direction
         super().__init__((self.parts[0][0],), name or f"pressure_{body.name}")
         for _, _, area in self.parts:

@@ -150,7 +150,9 @@ class TorqueOn(Actuator):
         self.frames, self.axis = (_frame(self, a), _frame(self, b)), axis
         axis_index(axis)
         if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
-            raise InputError(f"{type(self).__name__} acts between {a!r} and {b!r}; allowed: two different bodies")
+            raise InputError(
+                "b", b, "two different bodies", state=f"acts between {a!r} and {b!r}", noun=f"{type(self).__name__}"
+            )
 
     def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
         u = attachments.axis(self.frames[0], self.axis)
@@ -192,7 +194,7 @@ class ForceOn(Actuator):
         if axes not in ("ground", "frame"):
             raise InputError("axes", axes, "'ground', 'frame'", noun="axes of ForceOn")
         if isinstance(frame.body, Ground):
-            raise InputError(f"ForceOn acts on {frame!r}; allowed: a frame on a body")
+            raise InputError("frame", frame, "a frame on a body", state=f"acts on {frame!r}", noun="ForceOn")
 
     def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
         (frame,) = self.frames
@@ -203,11 +205,19 @@ class ForceOn(Actuator):
 def _checked_joint(owner: Any, joint: Any, kinds: tuple[type, ...]) -> Any:
     if not isinstance(joint, kinds):
         names = " or ".join(kind.__name__ for kind in kinds)
-        raise InputError(f"{type(owner).__name__} got {joint!r}; allowed: a joint of the system of the kind {names}")
+        raise InputError(
+            "joint",
+            joint,
+            f"a joint of the system of the kind {names}",
+            state=f"got {joint!r}",
+            noun=f"{type(owner).__name__}",
+        )
     return joint
 
 
 def _frame(owner: Any, frame: Any) -> Frame:
     if not isinstance(frame, Frame):
-        raise InputError(f"{type(owner).__name__} got {frame!r}; allowed: a frame, such as body.at(...)")
+        raise InputError(
+            "frame", frame, "a frame, such as body.at(...)", state=f"got {frame!r}", noun=f"{type(owner).__name__}"
+        )
     return frame

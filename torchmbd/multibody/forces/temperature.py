@@ -114,9 +114,7 @@ class Temperature(ForceElement):
         self.changes = {key: x for key, x in amounts.items() if isinstance(x, Tensor) or callable(x) or x != 0.0}
         for change in self.changes:
             if change not in known:
-                raise InputError(
-                    change, allowed=f"{', '.join(known)}", noun=f"{change} of {self.name!r}", state="is given"
-                )
+                raise InputError((self.name, change), allowed=", ".join(known), state="is given")
             with torch.no_grad():
                 body.expansion.forces(zone, change)  # the plies have the coefficients
         body.expansion.warn_of_other_parts(zone)

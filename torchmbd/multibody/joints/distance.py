@@ -23,7 +23,7 @@ class Distance(Joint):
 
     def __init__(self, a: Frame, b: Frame, length: float, name: str | None = None):
         super().__init__(a, b, name)
-        self.length = positive(f"length of {self.name!r}", length, "m")
+        self.length = positive((self.name, "length"), length, "m")
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         yield Equation(DistancePrimitive, (attachments.point(self.a), attachments.point(self.b)), self.length)

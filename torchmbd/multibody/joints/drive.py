@@ -72,10 +72,10 @@ class Drive(Joint):
         ((key, x),) = laws.items()
         self.axis, self.travels = self.common_axis(axis), key in ("velocity", "position")
         if key in ("speed", "velocity"):
-            x = ConstantSpeed(finite(f"{key} of {self.name!r}", x))
+            x = ConstantSpeed(finite((self.name, key), x))
         self.law = _checked(self.name, key, x)
         for turn in ("size", "amplitude") if key == "angle" else ():
-            warn_degrees(f"{turn} of {self.name!r}", _number(getattr(x, turn, 0.0)))
+            warn_degrees(f"{self.name}.{turn}", _number(getattr(x, turn, 0.0)))
 
     @property
     def variables(self) -> ParameterVector | None:
@@ -87,7 +87,7 @@ class Drive(Joint):
 
 
 OF_TABLES = "a table as a spline of SciPy, and that as torch operations on its x and c"
-DIFFERENTIABLE = f"allowed: a torch function of time that is differentiable twice; {OF_TABLES}"
+DIFFERENTIABLE = f"a torch function of time that is differentiable twice; {OF_TABLES}"
 _SHOWN = 60  # characters of a wrong result in a message
 
 
@@ -112,14 +112,13 @@ def _checked(name: str, key: str, law: Any) -> FiniteLaw:
         raise InputError(
             (name, key),
             allowed=f"a torch function of time, [] [s] -> finite [] [{unit}], float64; {OF_TABLES}",
-            noun=f"{key} of {name!r}",
             state=f"gives {(text if len(text) <= _SHOWN else text[:_SHOWN] + '...')} at t = 0",
         )
     if not hasattr(law, "slopes"):
-        require_differentiable(f"{key} of {name!r}", law, DIFFERENTIABLE)
+        require_differentiable((name, key), law, DIFFERENTIABLE)
     prescribed: Any = law
     variables = ParameterVector.of(law)
-    refuse_lost_gradients(f"{key} of {name!r}", law, VARIABLES, law if isinstance(law, nn.Module) else None)
+    refuse_lost_gradients((name, key), law, VARIABLES, law if isinstance(law, nn.Module) else None)
     if variables is None:
-        refuse_gradients(f"what {key} of {name!r} returns", start, VARIABLES)
+        refuse_gradients((name, key), start, VARIABLES)
     return FiniteLaw(name, prescribed) if variables is None else ParametricDrive(name, variables)

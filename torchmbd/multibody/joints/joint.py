@@ -159,15 +159,18 @@ class AttachmentTable:
         varying = any(f.interpolation is not None and varying_nodes(f.body.mesh) for f in (frame, other))
         if frame.varying is not None or varying:
             raise InputError(
-                f"{frame!r} has coordinates or axes that vary, but a displacement is measured from where it is at the given "
-                "positions; allowed: numbers"
+                "frame",
+                frame,
+                "numbers",
+                state="has coordinates or axes that vary, but a displacement is measured from where it is at the given "
+                "positions",
+                noun=f"{frame!r}",
             )
         for body in (frame.body, other.body):
             if isinstance(body.position, nn.Parameter):
                 raise InputError(
                     (body.name, "position"),
                     allowed="a position without a gradient",
-                    noun=f"position of {body.name!r}",
                     state=f"is a Parameter, but a displacement is measured from where {frame!r} and {other!r} are at the "
                     "given positions",
                 )
@@ -211,11 +214,13 @@ class Joint:
         kind = type(self).__name__
         for frame in (a, b):
             if not isinstance(frame, Frame):
-                raise InputError(f"{kind} got {frame!r}; allowed: frames, such as body.at(...)")
+                raise InputError("frames", frame, "frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
         if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
-            raise InputError(f"{kind} joins {a!r} with {b!r}; allowed: frames on two different bodies")
+            raise InputError(
+                "frames", (a, b), "frames on two different bodies", state=f"joins {a!r} with {b!r}", noun=kind
+            )
         if name is not None and not isinstance(name, str):
-            raise InputError(f"name of a {kind} is {name!r}; allowed: a string")
+            raise InputError("name", name, "a string", noun=f"name of a {kind}")
         self.a, self.b = a, b
         self.name = name or f"{kind.lower()}_{a.body.name}_{b.body.name}"
 
@@ -248,7 +253,6 @@ class Joint:
             raise InputError(
                 (self.name, "axes"),
                 allowed="the same direction, or no axes on the second frame",
-                noun=f"axes of {self.name!r}",
                 state=f"contradict: at the given positions {axis!r} is {_shown(axis_a)} by {a!r} and {_shown(axis_b)} "
                 f"by {b!r}",
             )
@@ -276,4 +280,4 @@ def as_frame(x: Any) -> Frame:
         return x.at(x.reference)
     if hasattr(x, "at"):
         return x.at()
-    raise InputError(f"joint got {x!r}; allowed: a body or a frame, such as body.at(...)")
+    raise InputError("frame", x, "a body or a frame, such as body.at(...)", state=f"got {x!r}", noun="joint")

@@ -82,10 +82,10 @@ class JointCoupling(Joint):
         first = coordinates[0].joint
         super().__init__(first.a, first.b, name)
         labels = [*(f"factor{k + 1}" for k in range(len(factors))), "offset"]
-        values = [finite(f"{label} of {self.name!r}", x) for label, x in zip(labels, [*factors, offset], strict=True)]
+        values = [finite((self.name, label), x) for label, x in zip(labels, [*factors, offset], strict=True)]
         for label, x in zip(labels[:-1], values, strict=False):
             if number(x) == 0.0:
-                raise InputError(f"{label} of {self.name!r} = 0: must not be zero. Try: coordinates without this one")
+                raise InputError((self.name, label), 0, rule="must not be zero", hint="coordinates without this one")
         self.coordinates = tuple(coordinates)
         self._set_numbers(labels, values)
 

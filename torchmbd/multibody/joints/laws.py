@@ -20,7 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 from torchmbd.math.variable import is_variable
 from torchmbd.multibody.joints.primitive import Law, slopes, slopes_at, values_at
 
@@ -122,13 +122,15 @@ class FiniteLaw:
         if not bool(good.all()):
             first = t[~good][0] if t.dim() else t
             raise InputError(
-                f"the law of {self.name!r} or a slope of it is not finite at t = {float(first):.6g} s; "
-                "allowed: a finite number at every time"
+                (self.name, "law"),
+                allowed="a finite number at every time",
+                state=f"is not finite at t = {float(first):.6g} s",
+                noun=f"the law of {self.name!r} or a slope of it",
             )
         return x
 
 
-def finite(name: str, x: Any) -> Any:
+def finite(name: str | Path, x: Any) -> Any:
     """The argument x as a finite float, or as it is where it is a design variable of one number; InputError names it.
 
     A tensor without a gradient (mbd.deg) is a number.

@@ -34,9 +34,7 @@ class Universal(Joint):
     def __init__(self, a: Frame, b: Frame, axes: str = "yz", name: str | None = None):
         super().__init__(a, b, name)
         if not isinstance(axes, str) or len(axes) != 2 or axes[0] == axes[1]:
-            raise InputError(
-                (self.name, "axes"), axes, "two different letters of 'xyz', such as 'yz'", noun=f"axes of {self.name!r}"
-            )
+            raise InputError((self.name, "axes"), axes, "two different letters of 'xyz', such as 'yz'")
         for axis in axes:
             axis_index(axis)
         self.axes = axes

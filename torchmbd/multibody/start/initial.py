@@ -85,8 +85,11 @@ def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
     """
     if not all_true(x[..., count:] == 0.0):
         raise InputError(
-            f"start: {name!r} = {untransformed(x).tolist()}: must be zero for mode {count + 1} and the following, because a "
-            f"design retains {count} modes"
+            ("start", name),
+            untransformed(x).tolist(),
+            rule=f"must be zero for mode {count + 1} and the following, because a design retains {count} modes",
+            shown=f"{untransformed(x).tolist()}",
+            noun=f"start: {name!r}",
         )
     return torch.nn.functional.pad(x[..., :count], (0, modes - min(count, x.shape[-1])))
 

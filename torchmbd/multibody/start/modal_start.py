@@ -73,8 +73,10 @@ def _refuse_padding(name: str, Kr: Tensor, w: Tensor) -> None:
     """InputError where coordinates w [lanes, m] belong to modes that a design does not retain."""
     if not all_true(~is_padding(Kr) | (w == 0.0)):
         raise InputError(
-            f"{name!r} starts with modal coordinates or rates of more modes than a design retains; allowed: zeros for modes "
-            "beyond the number that was requested"
+            ("start", name),
+            allowed="zeros for modes beyond the number that was requested",
+            state="starts with modal coordinates or rates of more modes than a design retains",
+            noun=f"{name!r}",
         )
 
 
@@ -84,7 +86,10 @@ def _refuse_turned(name: str, same: Tensor, w: Tensor) -> None:
     if all_true(single | (w == 0.0)):
         return
     raise InputError(
-        f"{name!r} starts with modal coordinates or rates of modes of equal frequency, which turn with the design without a "
-        "derivative; allowed: zeros for these modes, gradients by variables that do not change its modes, or the "
-        "last state of a motion with the same gradients"
+        ("start", name),
+        allowed="zeros for these modes, gradients by variables that do not change its modes, or the last state of a "
+        "motion with the same gradients",
+        state="starts with modal coordinates or rates of modes of equal frequency, which turn with the design "
+        "without a derivative",
+        noun=f"{name!r}",
     )

@@ -40,7 +40,7 @@ class SupportedBody:
     def __init__(self, body: FlexibleBody, supports: Supports | None = None, vibrating: bool = False) -> None:
         what = "frequencies" if vibrating else "buckling"
         if not isinstance(body, FlexibleBody):
-            raise InputError(f"body of {what} is {body!r}; allowed: a FlexibleBody")
+            raise InputError("body", body, "a FlexibleBody", noun=f"body of {what}")
         if body.given_structure is not None:
             lack = "no freedoms to support" if vibrating else "no stress"
             raise InputError(
@@ -61,8 +61,12 @@ class SupportedBody:
                 continue
             if vibrating and held[f] != 0.0:
                 raise InputError(
-                    f"supports impose {held[f]:g} on {FREEDOMS[f % 6]} of node {f // 6} of {body.name!r}, and frequencies are "
-                    "those of the unstressed body; allowed: 0, or names of freedoms"
+                    (body.name, "supports", int(f // 6)),
+                    float(held[f]),
+                    "0, or names of freedoms",
+                    state=f"impose {held[f]:g} on {FREEDOMS[f % 6]} of node {f // 6} of {body.name!r}, and frequencies are "
+                    "those of the unstressed body",
+                    noun="supports",
                 )
             if f not in row:
                 raise InputError(
@@ -111,14 +115,15 @@ class SupportedBody:
         fault = str(error)
         if isinstance(error, Indefinite):
             fault = f"{error.fault}. {moving(self.assembly, int(self.kept[error.row]))}"
-        return DesignFailure(f"supports of {self.name!r} leave it movable: {fault}")
+        path = (self.name, "supports")
+        return DesignFailure(path, rule=f"leave it movable: {fault}", noun=f"supports of {self.name!r}")
 
 
 def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, float]:
     """Imposed displacements of the supported degrees of freedom 6 * node + i; none of a free body, where it is allowed."""
     if not isinstance(supports, Mapping) or not (supports or free_body):
         allowed = "nodes -> freedoms, {} for a free body" if free_body else "nodes -> freedoms, at least one"
-        raise InputError((body.name, "supports"), supports, f"{allowed}, or None", noun=f"supports of {body.name!r}")
+        raise InputError((body.name, "supports"), supports, f"{allowed}, or None")
     imposed: dict[int, float] = {}
     for where, support in supports.items():
         values = _values(body, where, support)
@@ -128,7 +133,6 @@ def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, 
                     raise InputError(
                         (body.name, "supports"),
                         allowed="one",
-                        noun=f"supports of {body.name!r}",
                         state=f"put {FREEDOMS[i]} of node {node} at two places",
                     )
     return imposed
@@ -143,7 +147,7 @@ def _values(body: FlexibleBody, where: Any, support: Any) -> list[float | None]:
     elif isinstance(support, Sequence) and len(support) == 6 and all(x is None or _finite(x) for x in support):
         return [None if x is None else float(x) for x in support]
     allowed = f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
-    raise InputError(f"support {where!r} of {body.name!r} is {support!r}; allowed: {allowed}")
+    raise InputError((body.name, "supports", str(where)), support, allowed, noun=f"support {where!r} of {body.name!r}")
 
 
 def _finite(x: Any) -> bool:

@@ -116,7 +116,9 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
     """
     unknown = [name for name in free if name not in [body.name for body in bodies]]
     if unknown:
-        raise InputError(f"free names {unknown}; allowed: names of bodies, {[body.name for body in bodies]}")
+        raise InputError(
+            "free", unknown, f"names of bodies, {[body.name for body in bodies]}", state=f"names {unknown}"
+        )
     frames = [frame for joint in joints for frame in joint.frames] + [x for force in forces for x in force.frames]
     connected = {id(frame.body) for frame in frames}
     apart = [body for body in bodies if not any(id(x) in connected for x in getattr(body, "node_bodies", [body]))]
@@ -126,8 +128,10 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
         others = [name for name in loose if name in names]
         hint = f"; joints or forces hold other bodies of the names {', '.join(map(repr, others))}" if others else ""
         raise InputError(
-            f"no joint and no force holds {', '.join(map(repr, loose))}{hint}; "
-            f"allowed: a joint for every body, or free={loose} for bodies that fly on purpose"
+            "bodies",
+            allowed=f"a joint for every body, or free={loose} for bodies that fly on purpose",
+            state=f"holds {', '.join(map(repr, loose))}{hint}",
+            noun="no joint and no force",
         )
 
 

@@ -67,7 +67,9 @@ def refuse_lost_constants(system: Any) -> None:
                 allowed = "a tensor that requires none"
                 if name in _VARIABLES:
                     allowed += ", or a Parameter given to the constructor"
-                raise InputError(f"{label!r} is a constant: it has no gradient; allowed: {allowed}")
+                raise InputError(
+                    (label,), allowed=allowed, state="is a constant: it has no gradient", noun=f"{label!r}"
+                )
 
 
 def refuse_lost_laws(system: Any) -> None:
@@ -80,4 +82,4 @@ def refuse_lost_laws(system: Any) -> None:
                 refuse_lost_gradients("law of a force", law, OF_FORCES)
     for joint in system.joints:
         registered = joint.variables.module if joint.variables else None
-        refuse_lost_gradients(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)
+        refuse_lost_gradients((joint.name, "law"), getattr(joint, "law", None), OF_DRIVES, registered)

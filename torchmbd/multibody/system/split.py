@@ -119,7 +119,8 @@ def _line(body: Any) -> BeamLine:
     chain = torch.arange(len(line.nodes))
     if line.node_module is not None or not torch.equal(line.elements, torch.stack([chain[:-1], chain[1:]], 1)):
         raise InputError(
-            f"line of {body.name!r} has branches, or nodes that vary; allowed in split: elements from each node to the next"
+            (body.name, "line"),
+            rule="has branches, or nodes that vary; allowed in split: elements from each node to the next",
         )
     return line
 

@@ -125,7 +125,13 @@ class System(nn.Module):
         names = [body.name for body in (*bodies, *self.beams)]
         for name in names:
             if names.count(name) > 1:
-                raise InputError(f"body name {name!r} is used {names.count(name)} times; allowed: unique names")
+                raise InputError(
+                    "bodies",
+                    name,
+                    "unique names",
+                    state=f"is used {names.count(name)} times",
+                    noun=f"body name {name!r}",
+                )
         self.bodies = bodies
         register(self, "gravity", None if gravity is None else vector_or_parameter("gravity", gravity))
         self.stabilization = positive("stabilization", stabilization, "s")
@@ -134,7 +140,13 @@ class System(nn.Module):
         self._join(joints)
         for body in (*self.bodies, *self.beams):
             if hasattr(self, body.name) or hasattr(StateEquation, body.name) or body.name in ("ground", "data"):
-                raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
+                raise InputError(
+                    "bodies",
+                    body.name,
+                    "any other identifier",
+                    state="is taken by torchmbd",
+                    noun=f"body name {body.name!r}",
+                )
         for body in self.bodies:
             self.add_module(body.name, body)
         self._add_laws()
@@ -151,8 +163,11 @@ class System(nn.Module):
             for side, frame in zip("ab", frames, strict=False):
                 if frame.varying is not None and frame.varying.record.turns and frame.varying not in axes_in_use:
                     raise InputError(
-                        f"turn of frame {side} of {element.name!r} is a design variable, but no axis of this frame is used, "
-                        "because joints take the axes of their first frame; allowed: turn of the other frame, or numbers"
+                        (element.name, "turn"),
+                        allowed="turn of the other frame, or numbers",
+                        state="is a design variable, but no axis of this frame is used, because joints take the axes of their "
+                        "first frame",
+                        noun=f"turn of frame {side} of {element.name!r}",
                     )
             modules = {f"{element.name}_{side}": frame.varying for side, frame in zip("ab", frames, strict=False)}
             modules |= {element.name: None if element.variables is None else element.variables.module}
@@ -351,7 +366,9 @@ class System(nn.Module):
             )
         for name in tangents:
             if name not in batch:
-                raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(batch)}")
+                raise InputError(
+                    "tangents", name, f"names among the given parameters, {list(batch)}", state=f"names {name!r}"
+                )
 
         mode_counts: list[tuple[int, ...]] = []  # of the calls of the stage, one number for each body
 

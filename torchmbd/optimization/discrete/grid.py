@@ -37,13 +37,19 @@ class Grid:
         names = list(problem.names)
         entries = [allowed] * len(names) if allowed is None or _single(allowed) else _listed(allowed)
         if len(entries) != len(names):
-            raise InputError(f"allowed has {len(entries)} entries for {len(names)} variables ({', '.join(names)})")
+            raise InputError(
+                "allowed", rule=f"has {len(entries)} entries for {len(names)} variables ({', '.join(names)})"
+            )
         self.values = [_values(*row) for row in zip(names, entries, lower, upper, strict=True)]  # type: ignore[arg-type]
         turns = np.zeros(len(names)) if period is None else np.asarray(period, dtype=float)
         self.circle = [v is not None and _fills(v, turn) for v, turn in zip(self.values, turns, strict=True)]
         self.discrete = np.array([v is not None for v in self.values])
         if not self.discrete.any():
-            raise InputError("allowed: no variable is discrete; use optimize or multistart")
+            raise InputError(
+                "allowed",
+                rule="must have an increment or values for one variable at least",
+                hint="optimize or multistart",
+            )
 
     @property
     def size(self) -> int:
@@ -134,13 +140,12 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
         increment = float(_numbers(name, entry))
         if not (increment > 0.0 and np.isfinite(high - low)):
             raise InputError(
-                f"allowed of {name} = {entry!r} with bounds [{low:g}, {high:g}]: must be positive, its bounds finite"
+                ("allowed", name), entry, rule=f"must be positive, its bounds finite; they are [{low:g}, {high:g}]"
             )
         if (high - low) / increment > MOST:
-            raise InputError(
-                f"allowed of {name} = {entry!r} with bounds [{low:g}, {high:g}]: "
-                f"{(high - low) / increment:.3g} values, {8 * (high - low) / increment:.3g} bytes; allowed: up to {MOST} values"
-            )
+            count, place = (high - low) / increment, f"in the bounds [{low:g}, {high:g}]"
+            rule = f"must give up to {MOST} values, and gives {count:.3g} ({8 * count:.3g} bytes) {place}"
+            raise InputError(("allowed", name), entry, rule=rule)
         slack = ON * increment
         values = increment * np.arange(np.ceil((low - slack) / increment), np.floor((high + slack) / increment) + 1)
     else:
@@ -148,7 +153,7 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
         slack = 1e-12 * max(abs(low), abs(high), 1.0) if np.isfinite(high - low) else 0.0
         values = values[(values >= low - slack) & (values <= high + slack)]
     if not values.size or not np.isfinite(values).all():
-        raise InputError(f"allowed of {name}: no value lies in its bounds [{low:g}, {high:g}]")
+        raise InputError(("allowed", name), entry, rule=f"must have a value in the bounds [{low:g}, {high:g}]")
     return np.clip(values, low, high) + 0.0
 
 
@@ -156,7 +161,9 @@ def _numbers(name: str, entry: Any) -> np.ndarray:
     try:
         return np.asarray(entry, dtype=float)
     except (TypeError, ValueError) as error:
-        raise InputError(f"allowed of {name} is {entry!r}; allowed: an increment, or a list of values") from error
+        raise InputError(
+            ("allowed", name), entry, "an increment, or a list of values", noun=f"allowed of {name}"
+        ) from error
 
 
 def _single(value: Any) -> bool:

@@ -42,7 +42,9 @@ def evolution(
     search.refuse_equalities("differential_evolution")
     drawn = search.size - search.has_extra_variable
     if not np.isfinite((search.upper - search.lower)[:drawn]).all():
-        raise InputError("bounds are infinite: method = 'differential_evolution' draws its designs from finite bounds")
+        raise InputError(
+            "bounds", rule="are infinite: method = 'differential_evolution' draws its designs from finite bounds"
+        )
     search.eager_gradients = False  # the method does not use them
     first = search.begin(gradients=False)
     if not first.ok:

@@ -36,7 +36,11 @@ def ipopt(search: Search, max_iterations: int, *, tol: float = 1e-6, kkt: float 
         cyipopt = import_module("cyipopt")
     except ImportError as error:
         raise InputError(
-            "method = 'ipopt' needs the package cyipopt, which is not installed: conda install -c conda-forge cyipopt"
+            "method",
+            "ipopt",
+            rule="needs the package cyipopt, which is not installed: conda install -c conda-forge cyipopt",
+            shown="",
+            noun="method = 'ipopt'",
         ) from error
     for name, value in {"tol": tol, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1.0)

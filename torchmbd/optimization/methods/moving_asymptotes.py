@@ -40,7 +40,11 @@ def _run_nlopt(
         nlopt = import_module("nlopt")
     except ImportError as error:
         raise InputError(
-            f"method = {method!r} needs the package nlopt, which is not installed: pip install 'torchmbd[nlopt]'"
+            "method",
+            method,
+            rule="needs the package nlopt, which is not installed: pip install 'torchmbd[nlopt]'",
+            shown="",
+            noun=f"method = {method!r}",
         ) from error
     for name, value in {"ftol": ftol, "xtol": xtol, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1.0)

@@ -73,7 +73,7 @@ def starts_at(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
     X = np.array(designs) if len({x.shape for x in designs}) == 1 else np.zeros(0)
     if X.ndim != 2 or not X.size:
         raise InputError(
-            "points: must be a list of start designs, all with one value per variable, at least one design"
+            "points", rule="must be a list of start designs, all with one value per variable, at least one design"
         )
     return Starts("given", len(X), partial(_listed, X))
 
@@ -115,7 +115,13 @@ def _spread(unit: Callable[[int, int], np.ndarray], count: int, include_initial:
         lower[-1] = upper[-1] = problem.start[-1]
     for name, low, high in zip(problem.names, lower, upper, strict=True):
         if not (np.isfinite(low) and np.isfinite(high)):
-            raise InputError(f"bounds of {name} are [{low:g}, {high:g}]: starts can be spread over finite bounds only")
+            raise InputError(
+                ("bounds", name),
+                (low, high),
+                rule=f"are [{low:g}, {high:g}]: starts can be spread over finite bounds only",
+                shown="",
+                noun=f"bounds of {name}",
+            )
     number = count - include_initial
     X = lower + (upper - lower) * unit(lower.size, number) if number else np.zeros((0, lower.size))
     return np.vstack([np.asarray(problem.start, dtype=float), X]) if include_initial else X

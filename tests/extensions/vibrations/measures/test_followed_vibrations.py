@@ -55,9 +55,7 @@ def test_numbers_swap_and_shapes_do_not():
 def test_a_vibration_that_is_lost_is_named():
     """Where both have the same frequency a stiff coupling makes them swing with and against each other: a MAC of 1 / 2."""
     same = {"hold_a.stiffness": torch.tensor([392.0]).double(), "c.stiffness": torch.tensor([50.0]).double()}
-    with pytest.raises(
-        mbd.DesignFailure, match=r"vibration 1 of the start is lost: .* likeness \(MAC\) of 0.50.*allowed"
-    ):
+    with refused("vibration 1 of the start"):
         measured(mbd.SystemFrequency(1, follow=True), masses(), same)
 
 
@@ -67,9 +65,9 @@ def test_what_has_no_shape_is_refused():
     equal.get_parameter("hold_b.stiffness").data.fill_(200.0)
     with pytest.raises(mbd.DesignFailure, match="vibration 1 of the system as it was built has no shape to follow"):
         measured(mbd.SystemFrequency(1, follow=True), equal, x)
-    with pytest.raises(mbd.InputError, match="number is 3; allowed: 1 to 2"):
+    with refused("number", 3):
         measured(mbd.SystemFrequency(3, follow=True), masses(), x)
-    with pytest.raises(mbd.InputError, match="follow is True with cluster"):
+    with refused("follow"):
         mbd.SystemFrequency(cluster=(1, 2), follow=True)
     with refused("follow", 3):
         mbd.DampingRatio(1, **{"follow": 3})  # pyright: ignore[reportArgumentType]

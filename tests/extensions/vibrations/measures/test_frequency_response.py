@@ -14,6 +14,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.extensions.vibrations.measures.test_system_vibrations import carriage, measured
 from tests.extensions.vibrations.test_eigenvalues import angles_of, blade
+from tests.refused import refused
 from torchmbd.design.response_spec import measure_of
 from torchmbd.extensions.identification.run import Run
 
@@ -228,23 +229,23 @@ def test_without_damping_it_is_infinite():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "path"),
     [
-        ({"output": "nobody"}, r"output is 'nobody'; allowed: joints \['rail'\], bodies \['load'\]"),
-        ({"output": 3}, "output is 3"),
-        ({"input": "load"}, "input_direction is None with body 'load'; allowed"),
-        ({"direction": "x"}, "direction is 'x' with joint 'rail'; allowed: with a body"),
-        ({"output": "load", "direction": "y", "place": "tip"}, "place is 'tip' on the rigid body 'load'"),
+        ({"output": "nobody"}, "output"),
+        ({"output": 3}, "output"),
+        ({"input": "load"}, "input_direction"),
+        ({"direction": "x"}, "direction"),
+        ({"output": "load", "direction": "y", "place": "tip"}, "place"),
         ({"band": (2.0, 1.0)}, "band"),
-        ({"band": (-2.0, 1.0)}, "band is -2"),
-        ({"quantity": "jerk"}, "quantity 'jerk' does not exist; allowed"),
-        ({"input_direction": "w"}, "input_direction 'w' does not exist; allowed: x, y, z"),
-        ({"output": "load", "direction": "y", "place": (0.1, 0.2)}, r"place is \(0.1, 0.2\); allowed: three finite"),
+        ({"band": (-2.0, 1.0)}, "band"),
+        ({"quantity": "jerk"}, "quantity"),
+        ({"input_direction": "w"}, "input_direction"),
+        ({"output": "load", "direction": "y", "place": (0.1, 0.2)}, "place"),
         ({"speed": -1.0}, "speed"),
     ],
 )
-def test_wrong_arguments_are_named(change, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_wrong_arguments_are_named(change, path):
+    with refused(path):
         mbd.FrequencyResponse(**{"output": "rail", "input": "rail"} | change).check(mass())
 
 

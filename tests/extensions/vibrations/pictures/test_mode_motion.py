@@ -12,6 +12,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.multibody.equilibrium.test_rotors import rotor
+from tests.refused import refused
 from torchmbd.multibody.equations import equations
 
 GROUND = mbd.Ground()
@@ -99,29 +100,29 @@ def test_whirl_is_a_circle_and_overdamped_poles_do_not_count():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "path"),
     [
-        ({"rest": 3}, "rest is 3; allowed: mbd.equilibrium"),
-        ({"number": 3}, "number is 3; allowed: 1 to 2, the vibrations of the system"),
-        ({"number": 0}, "number is 0; allowed"),
-        ({"lane": 1}, "lane = 1"),
-        ({"size": 0.0}, "size is 0.0"),
-        ({"periods": 0}, "periods is 0; allowed: 1, 2"),
-        ({"frames": 2}, "frames is 2; allowed: 4, 5"),
+        ({"rest": 3}, "rest"),
+        ({"number": 3}, "number"),
+        ({"number": 0}, "number"),
+        ({"lane": 1}, "lane"),
+        ({"size": 0.0}, "size"),
+        ({"periods": 0}, "periods"),
+        ({"frames": 2}, "frames"),
     ],
 )
-def test_wrong_arguments_are_named(change, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_wrong_arguments_are_named(change, path):
+    with refused(path):
         mbd.viz.mode_motion(**{"rest": mbd.equilibrium(chain())} | change)
 
 
 def test_a_page_of_another_ending_is_refused():
-    with pytest.raises(mbd.InputError, match=r"allowed: a name that ends in \.html"):
+    with refused("path"):
         mbd.viz.animate_mode(mbd.equilibrium(chain()), "mode.txt")
 
 
 def test_a_free_motion_is_no_vibration():
     free = mbd.RigidBody("free", 2.0, (1.0, 1.0, 1.0))
     rest = mbd.equilibrium(mbd.System([free], [mbd.Prismatic(GROUND.at(), free.at(), axis="x")]))
-    with pytest.raises(mbd.InputError, match="number is 1; allowed: 1 to 0, the vibrations of the system"):
+    with refused("number", 1):
         mbd.viz.mode_motion(rest)

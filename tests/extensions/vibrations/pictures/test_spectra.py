@@ -98,19 +98,19 @@ def test_root_locus_draws_upper_poles_and_leaves_room_for_those_that_swing(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "path"),
     [
-        ({"speeds": SPEEDS.flip(0)}, "allowed: two or more in ascending order"),
-        ({"speeds": SPEEDS[:1]}, "speeds is"),
-        ({"speeds": "fast"}, "speeds is 'fast'; allowed: numbers"),
-        ({"frequencies": FREQUENCIES[:3]}, r"frequencies has shape \(3, 2\); allowed: \(31, vibrations\)"),
-        ({"frequencies": torch.nan * FREQUENCIES}, "frequencies has no finite number"),
-        ({"damping": FREQUENCIES[:, :1]}, r"damping has shape \(31, 1\); allowed: \(31, 2\)"),
-        ({"orders": (1, 0)}, "orders is .*; allowed: positive numbers"),
+        ({"speeds": SPEEDS.flip(0)}, "speeds"),
+        ({"speeds": SPEEDS[:1]}, "speeds"),
+        ({"speeds": "fast"}, "speeds"),
+        ({"frequencies": FREQUENCIES[:3]}, "frequencies"),
+        ({"frequencies": torch.nan * FREQUENCIES}, "frequencies"),
+        ({"damping": FREQUENCIES[:, :1]}, "damping"),
+        ({"orders": (1, 0)}, "orders"),
     ],
 )
-def test_wrong_arguments_are_named(change, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_wrong_arguments_are_named(change, path):
+    with refused(path):
         mbd.viz.campbell(**{"speeds": SPEEDS, "frequencies": FREQUENCIES} | change)
 
 
