@@ -1,6 +1,6 @@
 """Memory of a motion, estimated before it is made: one that does not fit is refused, and batches are cut to a size that does.
 
-    bytes = min(steps, SEGMENT) * STEP + tables + lanes * (structure + motion)
+    bytes = WORK + min(steps, SEGMENT) * STEP + tables + lanes * (structure + motion)
     motion    = 3 * 8 * times * (n_q + 2 n_v + rows) * (1 + n_b)                    coordinates, rates, ... and copies of them
     tables, structure        of the flexible bodies                                 multibody/bodies/body_memory.py
 
@@ -19,6 +19,7 @@ from torchmbd.process import available_memory, bytes_text, installed_memory, rou
 from torchmbd.results.history import SEGMENT
 
 _COPIES = 3  # of the motion: what is recorded, rows of the whole system, work arrays
+_WORK = 8e7  # bytes of multipliers and loads of some thousand states at once (times_as_lanes.py, elastic_limits.py)
 _STEP = 3000.0  # bytes of Python objects for a step of a segment, of however many lanes
 _SHARE = 0.25  # of the machine's memory for one batch
 
@@ -35,7 +36,7 @@ def _shared(system: System, steps: int) -> float:
     """Bytes of a segment of steps, and of bodies, that do not depend on the number of lanes."""
     bodies = [x for x in system.bodies if hasattr(x, "assembly")]
     tables = sum(table_bytes(len(x.mesh.nodes), x.assembly.parts.values()) for x in bodies)
-    return _STEP * (min(steps, SEGMENT) + 1) + tables
+    return _WORK + _STEP * (min(steps, SEGMENT) + 1) + tables
 
 
 def motion_bytes(system: System, lanes: int, steps: int, tangents: int = 0, adjoint: bool = False) -> float:

@@ -47,7 +47,7 @@ Checked in tests/results/test_elastic_limits.py, tests/validation/test_flexible_
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
@@ -249,8 +249,9 @@ def _sizes(motion: Trajectory, intervals: Sequence[int]) -> list[float]:
     """
     T, data = motion.dynamics.topology, motion.dynamics.data
     mass = value(data["mass"])[:, 0]
-    parts = motion.parts(_STATES, overlap=max(intervals))
-    largest = torch.stack([_largest_loads(part, intervals) for part in parts]).amax(0)
+    weights = [mass[..., None], *([_newtons(T)[:, None, None]] if T.actions else [])]
+    loads = list(zip(_by_parts(motion, _loads_of_all, -1), weights, strict=True))
+    largest = _largest_loads(loads, intervals, _known(motion))
     sizes = []
     for k, name in enumerate(T.names[: T.flexible]):
         lowest = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).reshape(-1)
@@ -260,22 +261,34 @@ def _sizes(motion: Trajectory, intervals: Sequence[int]) -> list[float]:
     return sizes
 
 
-def _largest_loads(motion: Trajectory, intervals: Sequence[int]) -> Tensor:
-    """The largest size of all loads by the means of each flexible body [flexible, lanes] [N]; 0 in lanes that failed."""
+def _by_parts(motion: Trajectory, function: Callable[[Trajectory], Sequence[Tensor]], times: int) -> list[Tensor]:
+    """Numbers at all states, with this axis of times, computed by parts: intermediate numbers take kilobytes for each state."""
+    return [torch.cat(x, times) for x in zip(*map(function, motion.parts(_STATES)), strict=True)]
+
+
+def _loads_of_all(motion: Trajectory) -> list[Tensor]:
+    """Accelerations of all bodies, less gravity, and forces on attached vectors if there are any [3, ., lanes, times]."""
     T, data, shape = motion.dynamics.topology, motion.dynamics.data, (motion.lanes, len(motion.t))
-    mass = value(data["mass"])[:, 0]
     acceleration = in_lanes(motion.a)[: 3 * T.bodies].unflatten(0, (3, -1))
     if "gravity" in data:
         acceleration = acceleration - _at_all_times(motion, data["gravity"])
-    vectors = [(acceleration[:, :, 0].unflatten(-1, shape), mass[..., None])]
+    vectors = [acceleration[:, :, 0].unflatten(-1, shape)]
     if T.actions:
         wide, at = placement_at_times(motion)
-        pulls = equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0]
-        vectors.append((pulls.unflatten(-1, shape), _newtons(T)[:, None, None]))
+        vectors.append(equations.applied_on_vectors(T, wide, at, in_lanes(motion.v))[:, :, 0].unflatten(-1, shape))
+    return vectors
+
+
+def _largest_loads(loads: Sequence[tuple[Tensor, Tensor]], intervals: Sequence[int], known: Tensor) -> Tensor:
+    """The largest size of all loads by the means of each flexible body [flexible, lanes] [N]; 0 in lanes that failed.
+
+    loads   vectors [3, ., lanes, times] and their weights
+    known   as of `_known`
+    """
     largest = {}
     for n in set(intervals):
-        total = torch.stack([(weight * _lengths(_means(x, n, -1))).sum(0) for x, weight in vectors]).sum(0)
-        largest[n] = (total.nan_to_num(0.0, 0.0, 0.0) * _known(motion)).amax(1)
+        total = torch.stack([(weight * _lengths(_means(x, n, -1))).sum(0) for x, weight in loads]).sum(0)
+        largest[n] = (total.nan_to_num(0.0, 0.0, 0.0) * known).amax(1)
     return torch.stack([largest[n] for n in intervals])
 
 
@@ -302,18 +315,14 @@ def _lengths(x: Tensor) -> Tensor:
 
 
 def _largest_shares(motion: Trajectory, bodies: list[tuple[int, Any]], intervals: Sequence[int]) -> list[float]:
-    """The largest share of flexible bodies, of each its number and itself: the loads of all states at once need much memory."""
+    """The largest share of flexible bodies, of each its number and itself."""
     if not bodies:
         return []
-    T = motion.dynamics.topology
-    slopes = [_slopes(T, k, body) for k, body in bodies]
-    largest = torch.zeros(len(bodies), dtype=torch.float64)
-    for part in motion.parts(_STATES, overlap=max(intervals[k] for k, _ in bodies)):
-        loads, shares = _loads(part), []
-        for (k, _), x in zip(bodies, slopes, strict=True):
-            shares.append(0.0 if x is None else _share(T, k, x, *(_means(y, intervals[k], 1) for y in loads)))
-        largest = largest.maximum(largest.new_tensor(shares))
-    return largest.tolist()
+    T, loads, shares = motion.dynamics.topology, _by_parts(motion, _loads, 1), []
+    for k, body in bodies:
+        slopes = _slopes(T, k, body)
+        shares.append(0.0 if slopes is None else _share(T, k, slopes, *(_means(x, intervals[k], 1) for x in loads)))
+    return shares
 
 
 def _slopes(T: Any, k: int, body: Any) -> Tensor | None:
@@ -335,9 +344,12 @@ def _slopes(T: Any, k: int, body: Any) -> Tensor | None:
 def _share(T: Any, k: int, slopes: Tensor, u: Tensor, Z: Tensor, pulls: Tensor) -> float:
     """The largest share of flexible body k; loads as in `_loads`."""
     vectors = [pulls[..., i, :] for i, of in enumerate(T.vector_flexible.tolist()) if of == k]
-    loads = torch.cat([u[..., k, :], Z[..., k, :, :].flatten(-2), *vectors], -1)
-    Kg = torch.tensordot(loads, slopes, 1)
-    return float(torch.linalg.eigvalsh(Kg.nan_to_num(0.0, 0.0, 0.0)).abs().amax()) if len(Kg) else 0.0
+    loads = torch.cat([u[..., k, :], Z[..., k, :, :].flatten(-2), *vectors], -1).flatten(0, 1)
+    largest = 0.0
+    for part in loads.split(_STATES):
+        Kg = torch.tensordot(part, slopes, 1).nan_to_num(0.0, 0.0, 0.0)
+        largest = max(largest, float(torch.linalg.eigvalsh(Kg).abs().amax())) if len(Kg) else largest
+    return largest
 
 
 def _loads(motion: Trajectory) -> tuple[Tensor, Tensor, Tensor]:

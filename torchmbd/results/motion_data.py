@@ -286,13 +286,10 @@ class MotionData(Summary):
         there = {name: getattr(moment, name)[lane : lane + 1, None] for name in ("q", "v", "a", "lam")}
         return self.one_lane(lane, t[None], TensorSignals(there))
 
-    def parts(self, most: int, overlap: int = 0) -> Iterator[Self]:
-        """The motion by parts of its times with at most so many states of all lanes, without sensitivities.
-
-        overlap   intervals that successive parts share; parts of more states have twice as many
-        """
-        length = max(1, 2 * overlap + 1, most // self.lanes)
-        for first in range(0, max(len(self.t) - overlap, 1), length - overlap):
+    def parts(self, most: int) -> Iterator[Self]:
+        """The motion by parts of its times with at most so many states of all lanes, without sensitivities."""
+        length = max(1, most // self.lanes)
+        for first in range(0, len(self.t), length):
             chosen = slice(first, first + length)
             plain = {"switches": [], "known": None, "integration": None, "variables": {}, "parameters": ()}
             yield replace(self, t=self.t[chosen], signals=SomeTimes(self.signals, chosen), **plain)
