@@ -20,3 +20,20 @@ def test_the_number_of_variables_decides(size, name):
     assert result.status == same.status == "converged"
     assert result.message == f"{name}: {same.message}"
     assert result.value == pytest.approx(1.0, abs=1e-6)
+
+
+def test_slsqp_takes_over_where_sqcqp_creeps_along_a_kink():
+    """A bent valley with a kink along its floor: no second derivatives there. The better of both ends counts."""
+
+    def valley(x):
+        side = x[0] - x[1] ** 2
+        return 1.0 + 10.0 * np.sign(side.real) * side + (1.0 - x[1]) ** 2
+
+    problem = Analytic("kinked valley", [-1.2, -1.0], valley, lower=-2, upper=2, optimum=1.0)
+    alone = optimize(problem, "sqcqp", max_iterations=100)
+    assert alone.status == "stalled"
+    assert "kink" in alone.message
+    result = optimize(problem, max_iterations=100)
+    assert result.value < alone.value
+    assert result.message.startswith("slsqp: ")
+    assert "after sqcqp: " in result.message

@@ -51,6 +51,7 @@ class Stop:
     y: np.ndarray
     success: bool
     message: str
+    final: bool = False  # a further run would not help
 
 
 class WrappedProblem:
@@ -173,7 +174,7 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
                 return Ending(end, "converged", _joined(message, _joined(note, unknown)))
             left, number, (y, evaluation) = reached, 0, beyond
             continue
-        if (np.array_equal(start, y) or not feasible) and not failed and not stop.success:
+        if stop.final or ((np.array_equal(start, y) or not feasible) and not failed and not stop.success):
             break
         least = REST * max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
         if number > 1 and feasible and not failed and before.objective - evaluation.objective <= least:

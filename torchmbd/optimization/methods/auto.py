@@ -1,8 +1,10 @@
-"""The default: SQCQP for few design variables, SLSQP for many.
+"""The default: SQCQP for few design variables, SLSQP for many, and both where SQCQP stalls.
 
 SQCQP has second derivatives for each function and learns them along one direction with each simulation. With few variables it
 needs fewer simulations than SLSQP (docs/reference/optimization.md). With many it knows few of the directions, and its model
-problem takes longer than a simulation.
+problem takes longer than a simulation. A function with a kink, such as the larger one of two peaks, has no second derivatives
+there, and SQCQP may creep along it. Then SLSQP begins at the start, on another path, and the better end counts.
+Checked in tests/optimization/methods/test_auto.py.
 """
 
 from __future__ import annotations
@@ -19,7 +21,18 @@ FEW = 20  # variables; with 50 on a separable problem of closed formulas SQCQP n
 
 @register("auto", dense=True)
 def auto(search: Search, max_iterations: int, *, ftol: float = 1e-6, kkt: float = 1e-3) -> Ending:
-    """Run SQCQP for at most FEW variables, else SLSQP; the message says which."""
-    name, method = ("sqcqp", sqcqp) if search.size <= FEW else ("slsqp", slsqp)
-    ending = method(search, max_iterations, ftol=ftol, kkt=kkt)
+    """Run SQCQP for at most FEW variables, and SLSQP for more and after SQCQP has stalled; the message says which."""
+    if search.size > FEW:
+        return _named("slsqp", slsqp(search, max_iterations, ftol=ftol, kkt=kkt))
+    first = _named("sqcqp", sqcqp(search, max_iterations, ftol=ftol, kkt=kkt))
+    left = max_iterations - (len(search.history) - 1)
+    if first.status != "stalled" or left <= 0:
+        return first
+    second = _named("slsqp", slsqp(search, left, ftol=ftol, kkt=kkt))
+    ends = search.evaluate(first.y), search.evaluate(second.y)
+    better = min((first, ends[0]), (second, ends[1]), key=lambda pair: search.rank(pair[1]))[0]
+    return replace(better, message=f"{second.message}, after {first.message}")
+
+
+def _named(name: str, ending: Ending) -> Ending:
     return replace(ending, message=f"{name}: {ending.message}" if ending.message else name)

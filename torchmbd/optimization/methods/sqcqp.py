@@ -40,6 +40,10 @@ ACCEPTED, POOR, GOOD = 1e-3, 0.25, 0.75  # shares of the promised fall
 SHORTER, SHORTEST = 0.5, 0.05  # factors of the radius after a poor step
 FAR_OFF = 50.0  # promised falls by which a step misses before the radius shrinks by more than SHORTER
 AFTER_FAILURE = 0.25  # of the length of a step to a design that fails
+CREEPS = (
+    10,
+    1e-3,
+)  # simulations, and the fall of the objective in them, a share of it, below which a feasible search creeps
 UNLIKE_ZERO = 1e-8  # of |r| |d|: a rank-one update with a smaller denominator is left out
 MODEL_STEPS, MODEL_PRECISION = 200, 1e-12  # of SLSQP on the model problem
 
@@ -106,6 +110,7 @@ def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
     for other, known in search.nearest(y, 2 * search.size)[::-1]:  # the nearest last: the models agree with it
         models.learn((other - y) / span, rows(known)[1])
     radius, penalty = FIRST_RADIUS, FIRST_PENALTY
+    reached: list[float] = []  # objectives of the feasible designs, one for each simulation
     while True:
         low, high = np.maximum((wrapped.lower - y) / span, -radius), np.minimum((wrapped.upper - y) / span, radius)
         d, penalty = _step(models, low, high, penalty, search.feasibility)
@@ -115,6 +120,10 @@ def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
         small = ftol * wrapped.shrink * max(abs(float(models.values[0])), SMALLEST_OBJECTIVE)
         if violation <= search.feasibility and promised <= small:
             return Stop(y, True, "the models promise no lower objective")
+        reached = [*reached, float(models.values[0])] if violation <= search.feasibility else []
+        if len(reached) > CREEPS[0] and reached[-1 - CREEPS[0]] - reached[-1] < CREEPS[1] * abs(reached[-1]):
+            message = f"the objective falls by less than {CREEPS[1]:g} in {CREEPS[0]} simulations: it may have a kink"
+            return Stop(y, False, message, final=True)
         if length <= LEAST_RADIUS or promised <= 0.0:
             return Stop(y, False, "no step lowers the violation of the models")
         end = np.clip(y + d * span, wrapped.lower, wrapped.upper)
