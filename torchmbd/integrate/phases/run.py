@@ -36,6 +36,7 @@ from torchmbd.multibody.equations.times_as_lanes import at_own_times, at_time
 from torchmbd.multibody.saddle import reactions
 from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.saddle.least_norm import LeastNorm
+from torchmbd.multibody.start.initial import SharedStart
 from torchmbd.multibody.start.start import EquilibriumConditions
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History, Record
@@ -156,8 +157,9 @@ class MultiphaseRun:
         t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
         if self.single is not None:
             return PhaseExit(t, self.single.state)
-        q, v = (self._wide(x) for x in self.initial_coordinates(self.whole))
-        self.initial_state = InitialState(value(q)[..., :1], value(v)[..., :1])
+        *coordinates, shared = self.initial_coordinates(self.whole)
+        q, v = map(self._wide, coordinates)
+        self.initial_state = InitialState(value(q)[..., :1], value(v)[..., :1], shared)
         return PhaseExit(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
 
     def start_of_leaves(self, lanes: Sequence[int], names: Sequence[str]) -> tuple[LaneLeaves, Prepared]:
@@ -174,27 +176,31 @@ class MultiphaseRun:
                 made = self._prepared(leaves.dynamics)
                 made.condensed.share_rank(record.condensed)
                 return leaves, made
-            q, v = (expanded(y, len(lanes)) for y in self.initial_coordinates(leaves.dynamics))
+            q, v = (expanded(y, len(lanes)) for y in self.initial_coordinates(leaves.dynamics)[:2])
             data = data_with_marks(whole.topology, leaves.dynamics.data, q, self.segments[0].locks)
             dynamics = lanes_of(record.dynamics, lanes).with_data(data)
             before = PhaseExit(record.entry.lanes(lanes).t, State(q, v, v * 0.0, v * 0.0, v[:0]))
             x = self.after(0, leaves.views, range(len(lanes)), dynamics, *before)
             return leaves, Prepared(dynamics, record.condensed_of(dynamics), record.retained(x), x)
 
-    def initial_coordinates(self, whole: Dynamics) -> tuple[Any, Any]:
-        """Initial q and v, joints closed, as functions of the data of `whole`."""
+    def initial_coordinates(self, whole: Dynamics) -> tuple[Any, Any, SharedStart | None]:
+        """Initial q and v, joints closed, as functions of the data of `whole`; and the start where designs share it.
+
+        Locks have vectors of their own in each design: then nothing is shared.
+        """
         segment = self.segments[0]
         (T, saddle), initial = segment.closing, segment.initial
         free = replace(whole, topology=T, saddle=saddle, initial=initial)
         if not isinstance(initial, EquilibriumConditions):
-            return initial.solve(free)
+            locks = any(segment.locks for segment in self.segments)
+            return *initial.solve(free), None if locks else free.shared_start
         q, v = initial.assembled(free)  # locks hold these positions while bodies sag
         held = replace(whole, data=data_with_marks(whole.topology, whole.data, self._wide(q), segment.locks))
         held = replace(held, topology=segment.topology, saddle=segment.saddle)
         q = initial.equilibrium_near(held, q)
         for lane, reason in held.start_errors.items():
             self.fail(lane, reason)
-        return q, initial.compatible(replace(free, data=held.data), q, v)
+        return q, initial.compatible(replace(free, data=held.data), q, v), None
 
     def _wide(self, x: Any) -> Any:
         """A number with all lanes and tangents."""

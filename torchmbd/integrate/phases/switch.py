@@ -29,6 +29,7 @@ from torchmbd.multibody.equations.times_as_lanes import at_time
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.saddle.condensation import Condensation
+from torchmbd.multibody.start.initial import SharedStart
 from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
 from torchmbd.results.state import State
 from torchmbd.results.trajectory import Trajectory
@@ -36,14 +37,19 @@ from torchmbd.results.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """Initial coordinates of a simulation of phases, where the rank of the constraints of each phase is found."""
+    """Initial coordinates of a simulation of phases, where the rank of the constraints of each phase is found.
+
+    shared   the start that other designs have as well, with the ranks that were found there; None: it is that of this design
+    """
 
     q: Tensor
     v: Tensor
+    shared: SharedStart | None
     condensed: Condensation | None = None
 
-    def shared_start(self, dynamics: Dynamics) -> None:
-        """Nothing is shared with other simulations."""
+    def shared_start(self, dynamics: Dynamics) -> SharedStart | None:
+        """`shared`."""
+        return self.shared
 
     def solve(self, dynamics: Dynamics) -> tuple[Any, Any]:
         """q [n_q, 1, 1] and v [n_v, 1, 1], of the first lane."""
