@@ -97,11 +97,11 @@ STRONG = Strength(Xt=1500.0, Xc=1200.0, Yt=40.0, Yc=250.0, S12=70.0)
 DOUBTED = {
     "drive in degrees": (
         lambda: turned_by(mbd.SmoothStep(90, 1.0)),
-        "size of 'motor' = 90 rad: is this angle in degrees",
+        "motor.size = 90 rad: is this angle in degrees",
     ),
     "variable drive in degrees": (
         lambda: turned_by(mbd.Sine(mbd.variable(-45.0), 1.0)),
-        "amplitude of 'motor' = -45 rad: is this angle in degrees",
+        "motor.amplitude = -45 rad: is this angle in degrees",
     ),
     "GPa": (lambda: scaled(1e-9, *MODULI), "units of Ply: E1? It is 128 Pa; allowed: m, kg, s, N, Pa"),
     "MPa": (lambda: scaled(1e-6, *MODULI), "Ply: E1? It is 128000 Pa"),

@@ -104,7 +104,7 @@ def test_frequencies_of_a_flexible_body_in_rotation():
         (lambda: mbd.ModalData([1.0], least_mac=2.0), "least_mac"),
         (
             lambda: mbd.ModalData([1.0], spinn=(0, 0, 1)),
-            "option 'spinn' of ModalData does not exist.*did you mean 'spin'",
+            "option of ModalData 'spinn' does not exist.*did you mean 'spin'",
         ),
         (
             lambda: fitted(mbd.ModalData([1.0, 2.0, 3.0]), ["first.stiffness"]),
@@ -121,7 +121,7 @@ def test_partners_are_decided_where_the_search_begins():
     """The shape of b alone is a mode where the first spring is stiff: that of the start, not that of the system."""
     data = mbd.ModalData([20.0], shapes=[[0.01], [1.0]], sensors=pendulum.ROW_SENSORS, least_mac=0.99)
     experiment = mbd.Experiment(pendulum.row(), data)
-    with pytest.raises(mbd.InputError, match=r"no measured mode has a partner in the model: the largest MAC is 0\."):
+    with pytest.raises(mbd.InputError, match=r"measured modes have no partner in the model: the largest MAC is 0\."):
         mbd.identify(experiment, ["first.stiffness"])
     stiff = mbd.identify(experiment, ["first.stiffness"], start={"first.stiffness": 1e6}, max_evaluations=1)
     assert stiff.notes[0].startswith("measured mode 1 (20 Hz) is mode 1 of the model")

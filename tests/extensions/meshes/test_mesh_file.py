@@ -261,9 +261,9 @@ def test_what_cannot_be_read_is_refused(tmp_path):
     with refused("scale", 0.0):
         mesh_file(written(tmp_path, "plate.vtk"), scale=0.0)
     solid = meshio.Mesh(POINTS, [("triangle6", np.arange(6)[None])])
-    with pytest.raises(InputError, match=r"elements 'triangle6'; allowed: triangle, quad"):
+    with pytest.raises(InputError, match=r"element of the mesh is 'triangle6'; allowed: triangle, quad"):
         mesh_of(solid)
-    with pytest.raises(InputError, match="no triangles"):
+    with pytest.raises(InputError, match="must be triangles or quadrilaterals"):
         mesh_of(meshio.Mesh(POINTS, [("line", np.array([[0, 1]]))]))
     (tmp_path / "bad.vtu").write_text("<VTKFile")
     with pytest.raises(InputError, match=r"bad\.vtu: meshio cannot read it"):

@@ -50,6 +50,7 @@ def test_nothing_is_made_of_a_body_that_does_not_fit(monkeypatch: pytest.MonkeyP
         shell(40)
 
 
+@pytest.mark.extensions
 def test_a_deck_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     deck = tmp_path / "plate.bdf"
     deck.write_text(model(cells=(40, 2)))

@@ -64,6 +64,7 @@ def test_a_spring_that_pushes_is_named_by_the_node_that_it_pushes_most(options):
 LAMINATE = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
 
 
+@pytest.mark.extensions
 @pytest.mark.usefixtures("_either_factor")
 def test_supports_that_leave_a_body_movable_name_a_node():
     """A plate on a hinge along its left edge turns about it: nodes turn about y, and the last ones move most."""

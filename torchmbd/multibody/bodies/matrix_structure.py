@@ -143,7 +143,7 @@ class MatrixStructure:
         nodes = node_indices(self.mesh, interface)
         for node in nodes:
             if node in self.reference or nodes.count(node) > 1:
-                allowed = "nodes that are no reference, each once"
+                allowed = "nodes that are not references, each once"
                 raise InputError(
                     (self.name, "interface"),
                     interface,

@@ -64,7 +64,7 @@ def reduced(
     held = _rows(name, free, interface, reference)
     least, most = 0 if held else 1, len(free) - len(held)
     if not is_whole(modes) or not least <= modes <= most:
-        allowed = f"a whole number, {least} to {most}, the freedoms of the mesh"
+        allowed = f"a whole number, {least} to {most}, the degrees of freedom of the mesh"
         raise InputError((name, "modes"), modes, allowed)
     updated = true_or_false((name, "updated"), updated)
     if kind not in REDUCTIONS:
@@ -130,7 +130,7 @@ def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence
     """Rows of the free degrees of freedom that belong to interface nodes."""
     for node in interface:
         if node in reference or list(interface).count(node) > 1:
-            allowed = "nodes that are no reference, each once"
+            allowed = "nodes that are not references, each once"
             raise InputError((name, "interface"), interface, allowed, state=f"has node {node}")
     freedoms = torch.tensor([6 * node + i for node in interface for i in range(6)], dtype=torch.long)
     bound = freedoms[~torch.isin(freedoms, free)]
