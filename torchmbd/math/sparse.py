@@ -72,7 +72,9 @@ class Pattern:
             missing = ~torch.isin(j * size + i, key, assume_unique=True)
             k = int(missing.nonzero()[0])
             raise InputError(
-                ("rows", k), rule="has no mirror image; store both triangles", noun=f"entry ({int(i[k])}, {int(j[k])})"
+                ("rows", k),
+                rule="does not have a counterpart in the other triangle. Try: store both triangles of the matrix",
+                noun=f"entry ({int(i[k])}, {int(j[k])})",
             )
 
     def _set(self, start: Tensor, column: Tensor, size: int) -> None:

@@ -139,7 +139,8 @@ class Search:
         if first.ok and not self.history:
             self._measure_objective(x, first)
             self._rank_design(self.start, first)
-        if not self.history or not np.array_equal(self.history[-1].x, self.physical(self.tightened(self.start))):
+        known = self.physical(self.tightened(self.start))
+        if not any(np.array_equal(iterate.x, known) for iterate in self.history):
             self.record(self.start)
         return self._scaled(first)
 

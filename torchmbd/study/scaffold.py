@@ -126,7 +126,7 @@ def parts_of(model: str, folder: Path) -> Parts:
         raise InputError(
             "model",
             model,
-            rule=f"needs {', '.join(needed)}; allowed here: a function whose arguments have defaults",
+            rule=f"needs the arguments {', '.join(needed)}; allowed: a function whose arguments all have defaults",
             shown="",
             noun=f"model {model!r}",
         )

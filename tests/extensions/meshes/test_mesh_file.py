@@ -64,7 +64,7 @@ def test_sets_of_abaqus(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("*NSET", "*NODE\n7, 9., 9., 9.\n*NSET", ["line 17", "*NODE stands twice"]),
+        ("*NSET", "*NODE\n7, 9., 9., 9.\n*NSET", ["line 17", "*NODE appears twice"]),
         ("*NSET", "*INCLUDE, INPUT=none.inp\n*NSET", ["line 17", "*INCLUDE of 'none.inp'"]),
         ("*NSET", "*INCLUDE, INPUT=plate.inp\n*NSET", ["*INCLUDE in a circle"]),
         ("*NSET", "*INCLUDE\n*NSET", ["line 17", "*INCLUDE of"]),

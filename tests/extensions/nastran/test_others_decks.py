@@ -110,7 +110,7 @@ def test_sets_that_are_added_hold_together_without_a_word(read, recwarn):
         (["CORD2R,5,,0.,0.,0.,0.,0.,1.", ",1.,0.,0."] * 2, ["CORD2R 5", "line 12", "taken by", "line 10"]),
         (["CORD2R,0,,0.,0.,0.,0.,0.,1.", ",1.,0.,0."], ["CORD2R 0", "CID is 0"]),
         (["CTETRA,8,2,1,2,3,5", "CTETRA,8,2,1,2,4,5", "PSOLID,2,1"], ["CTETRA 8", "line 11", "twice", "line 10"]),
-        (["CONM2,8,1,,2."] * 2, ["CONM2 8", "line 11", "stands twice"]),
+        (["CONM2,8,1,,2."] * 2, ["CONM2 8", "line 11", "appears twice"]),
         (["CORD2C,5,,0.,0.,0.,0.,0.,1.", ",1.,0.,0.", "CONM2,8,2,5,1.,.2,90."], ["CONM2 8", "CID 5 is curved"]),
         (["SPC1,1,ABC,1"], ["SPC1 1", "'ABC'", "components 1 to 6"]),
         (["SPC1,1,17,1"], ["SPC1 1", "'17'"]),

@@ -317,7 +317,7 @@ REPLACED = [
     (",1,0.001,20.", ",5,0.001,20.", ["PCOMP 7", "material 5 does not exist"]),
     ("CQUAD4,1,7,1,", "CQUAD4,1,7,77,", ["CQUAD4 1", "GRID 77 does not exist"]),
     ("CQUAD4,1,7", "CQUAD8,1,7", ["CQUAD8 1", "cannot be read", "CTRIA3, CQUAD4"]),
-    ("CQUAD4,2,7", "CQUAD4,1,7", ["CQUAD4 1", "number stands twice"]),
+    ("CQUAD4,2,7", "CQUAD4,1,7", ["CQUAD4 1", "number appears twice"]),
     ("PCOMP,7,,,,TSAI", "PCOMP,7,,,,TSAI,,,MEM", ["PCOMP 7", "LAM is 'MEM'", "SYM"]),
     (",1586.0", "", ["MAT8 1", "RHO is ''"]),
     (",.23,", ",9.,", ["MAT8 1", "nu12 = 9.0"]),
@@ -325,7 +325,7 @@ REPLACED = [
     ("ENDDATA", "SPOINT,950\nCELAS2,950,1.+5,1,1,950\nENDDATA", ["CELAS2 950", "grid 1 with a scalar point"]),
     ("ENDDATA", "RBE2,30,1,127,2\nENDDATA", ["RBE2 30", "CM is '127'"]),
     ("ENDDATA", "RBE2,30,1,123456,2\nRBE2,31,3,123456,2\nENDDATA", ["RBE2 31", "GRID 2 follows already by RBE2 30"]),
-    ("ENDDATA", "GRID,1,,0.,0.,0.\nENDDATA", ["GRID 1", "stands twice"]),
+    ("ENDDATA", "GRID,1,,0.,0.,0.\nENDDATA", ["GRID 1", "appears twice"]),
     ("GRID,1,,-0.15,-0.05", "GRID,1,,-0.15,-0.0x", ["GRID 1", "X2 is '-0.0x'"]),
     ("GRID,101,", "GRID,101,,-.15,-.05,0.\n$", ["CQUAD4 1 ", "is collapsed"]),
 ]  # fmt: skip

@@ -124,7 +124,7 @@ def test_a_mean_of_some_components(tmp_path):
         (["MPC,4,9,1,1.,5,2,x"], ["A2 is 'x'"]),
         (["MPC,4,9,1,0.,5,2,1."], ["A1 is 0."]),
         (["MPC,4,9,1,1."], ["1 terms", "two"]),
-        (["MPC,4,9,1,1.,9,1,2."], ["component 1 of GRID 9 stands twice"]),
+        (["MPC,4,9,1,1.,9,1,2."], ["component 1 of GRID 9 appears twice"]),
         (["MPC,4,9,1,1.,99,1,2."], ["GRID 99 does not exist"]),
     ],
 )

@@ -31,8 +31,8 @@ def file(tmp_path):
     [
         ('type="slide"', 'type="screw"', "joint 'j3': type 'screw'"),
         ('name="j5" axis="0 1 0"', 'name="j5" axis="0 0 0"', "joint 'j5': axis is '0 0 0'"),
-        ('name="j5" axis="0 1 0"', 'name="j4"', "joint 'j4' stands twice"),
-        ('name="c"', 'name="b"', "body 'b' stands twice"),
+        ('name="j5" axis="0 1 0"', 'name="j4"', "joint 'j4' appears twice"),
+        ('name="c"', 'name="b"', "body 'b' appears twice"),
         ('mass=".3"', 'mass="-1"', "body 'c', inertial: mass is -1"),
         ('mass=".3"', 'mass="nan"', "inertial: mass is 'nan'"),
         ('mass=".3"', "", "inertial: mass is ''"),

@@ -28,9 +28,9 @@ TEXT = '<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n"
         ('<mass value="0.4"/>', '<mass value="-0.4"/>', "link 'link3': mass is -0.4"),
         ('<mass value="0.4"/>', '<mass value="nan"/>', "value is 'nan'"),
         ('<mass value="0.4"/>', "", "value is missing"),
-        ('name="link3"', 'name="link2"', "stands twice"),
-        ('<mass value="0.4"/>', '<mass value="0.4"/><mass value="0.5"/>', "<mass> stands twice"),
-        ("<inertial>", "<inertial/><inertial>", "<inertial> stands twice"),
+        ('name="link3"', 'name="link2"', "appears twice"),
+        ('<mass value="0.4"/>', '<mass value="0.4"/><mass value="0.5"/>', "<mass> appears twice"),
+        ("<inertial>", "<inertial/><inertial>", "<inertial> appears twice"),
         ('damping="0.3"', 'damping="-0.3"', "damping, friction"),
         ('<parent link="world"/>', '<parent link="link3"/>', "form a loop"),
         ("</robot>", '<link name="alone"/></robot>', "have no parent"),
@@ -72,7 +72,9 @@ def test_lower_above_upper_is_no_limit(tmp_path):
 def test_elements_that_are_not_known_are_told(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(TEXT.replace("<inertial>", "<inertail/><inertial>", 1))
-    with pytest.warns(UserWarning, match=r"arm.urdf: left out, .*: <inertail> in <link> \['"):
+    with pytest.warns(
+        UserWarning, match=r"arm.urdf: the reader leaves out these unknown elements: <inertail> in <link> \['"
+    ):
         urdf_robot(path)
 
 

@@ -35,5 +35,7 @@ def test_slsqp_takes_over_where_sqcqp_creeps_along_a_kink():
     assert "kink" in alone.message
     result = optimize(problem, max_iterations=100)
     assert result.value < alone.value
+    assert result.iterations == 100  # both methods together
+    assert sum(np.array_equal(iterate.x, problem.start) for iterate in result.history) == 1
     assert result.message.startswith("slsqp: ")
     assert "after sqcqp: " in result.message

@@ -50,17 +50,38 @@ def test_curved_constraints_do_not_shorten_the_steps():
     assert problem.functions <= 25
 
 
-def test_bounds_far_beyond_the_optimum():
-    """Half the range between bounds is no measure of steps here: 1e6, where the optimum is 2 away."""
+@pytest.mark.parametrize("bound", [1e2, 1e4, 1e6, 1e9])
+def test_bounds_far_beyond_the_optimum(bound):
+    """Half the range between bounds is no measure of steps here: the optimum is 2 away."""
 
     def f(x):
         return (x[0] - 1) ** 2 + (x[1] - 2) ** 2 + 1
 
-    problem = Analytic("far", [3.0, 3.0], f, lambda x: [2 - x[0] - 0.1 * x[1]], lower=-1e6, upper=1e6)
+    problem = Analytic("far", [3.0, 3.0], f, lambda x: [2 - x[0] - 0.1 * x[1]], lower=-bound, upper=bound)
     result = optimize(problem, "sqcqp", max_iterations=50)
     assert result.status == "converged"
     assert result.x == pytest.approx([1 + 0.8 / 1.01, 2 + 0.08 / 1.01], abs=1e-3)
     assert problem.functions <= 40
+
+
+@pytest.mark.parametrize("lower", [-np.inf, 0.0])
+def test_an_optimum_far_from_the_start_without_a_range(lower):
+    """A thousand times the start: the trust region grows as long as the models are right."""
+    problem = Analytic("far", [1.0], lambda x: 2 + (x[0] / 1e3 - 1) ** 2, lower=lower)
+    result = optimize(problem, "sqcqp")
+    assert result.status == "converged"
+    assert result.x[0] == pytest.approx(1e3, rel=1e-3)
+    assert problem.functions <= 20
+
+
+@pytest.mark.parametrize("constant", [0.0, 1e3, 1e6])
+def test_a_constant_of_the_objective_is_no_kink(constant):
+    problem = Analytic(
+        "valley", [-1.2, 1.0], lambda x: constant + (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2, lower=-3, upper=3
+    )
+    result = optimize(problem, "sqcqp")
+    assert result.status == "converged"
+    assert result.value - constant <= 1e-4
 
 
 def test_a_design_that_fails_shortens_the_step():

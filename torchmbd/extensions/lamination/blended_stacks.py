@@ -193,7 +193,10 @@ def _check(
     symmetric = {laminate.coupling is None for laminate in laminates.values()}
     if len(symmetric) > 1:
         raise InputError(
-            "laminates", laminates, "all with, or all without", state="has zones with coupling and zones without"
+            "laminates",
+            laminates,
+            "coupling parameters in all zones, or in none",
+            state="has zones with coupling parameters and zones without them",
         )
     if symmetric == {True} and len({n % 2 for n in plies.values()}) > 1:
         raise InputError(

@@ -116,7 +116,7 @@ class AbaqusFile:
                     has_nodes |= self._read(_included(path, line, where), (*opened, path))
                 elif keyword == "NODE":
                     if has_nodes:
-                        twice = f"{where}: *NODE stands twice, or below *INCLUDE with nodes"
+                        twice = f"{where}: *NODE appears twice, or below *INCLUDE with nodes"
                         raise InputError(f"{twice}; allowed: once, above it")
                     has_nodes = True
         return has_nodes

@@ -152,7 +152,7 @@ class BulkData:
             number = card.integer(1, "ID")
             if number in data.grids:
                 raise wrong_entry(
-                    card, f"GRID {number} stands twice, first at {data.grid_cards[number].where}", key="ID"
+                    card, f"GRID {number} appears twice, first at {data.grid_cards[number].where}", key="ID"
                 )
             data.grids[number], data.grid_cards[number] = data.systems.position(card), card
             if card.text(7):
@@ -284,7 +284,7 @@ class BulkData:
         for entry in (*self.shells, *self.bars, *self.solids, *self.panels, *self.links, *self.masses, *self.rigids):
             kind = "" if isinstance(entry, (Shell, Bar)) else entry.card.name
             if (first := taken.setdefault((kind, entry.card.integer(1, "EID")), entry.card)) is not entry.card:
-                raise wrong_entry(entry.card, f"its number stands twice, first in {first}", key="ID")
+                raise wrong_entry(entry.card, f"its number appears twice, first in {first}", key="ID")
 
     def _check_grids(self, card: Card, grids: tuple[int, ...]) -> None:
         for grid in grids:

@@ -104,7 +104,7 @@ def read_constraint(card: Card) -> MultipointConstraint:
         )
     if any(term[:2] == first[:2] for term in others):
         raise wrong_entry(
-            card, f"component {first.component} of GRID {first.grid} stands twice", "it follows once", key="C"
+            card, f"component {first.component} of GRID {first.grid} appears twice", "it follows once", key="C"
         )
     return MultipointConstraint(card, tuple(terms))
 

@@ -214,7 +214,7 @@ def by_unique_name(file: str, kind: str, items: Iterable[Any]) -> dict[str, Any]
     entries: dict[str, Any] = {}
     for x in items:
         if x.name in entries:
-            raise InputError((file, kind, x.name), rule="stands twice", noun=f"{file}: {kind} {x.name!r}")
+            raise InputError((file, kind, x.name), rule="appears twice", noun=f"{file}: {kind} {x.name!r}")
         entries[x.name] = x
     return entries
 

@@ -56,7 +56,7 @@ def urdf_robot(path: str | Path) -> Robot:
 
 
 def _check_parts(file: str, root: ET.Element) -> None:
-    """InputError for an element that stands twice; a warning for those that are not known."""
+    """InputError for an element that appears twice; a warning for those that are not known."""
     unknown_parts: dict[str, list[str]] = {}
     within = [*root.findall("link"), *root.findall("joint")]
     for element in (root, *within, *root.findall("link/inertial")):
@@ -65,7 +65,7 @@ def _check_parts(file: str, root: ET.Element) -> None:
         if twice:
             raise InputError(
                 (file, element.tag, twice[0]),
-                rule="stands twice; allowed: once",
+                rule="appears twice; allowed: once",
                 noun=f"{file}, <{element.tag}> {element.get('name', '')!r}: <{twice[0]}>",
             )
         for tag in set(tags) - set(_PARTS[element.tag].split()):
@@ -73,7 +73,7 @@ def _check_parts(file: str, root: ET.Element) -> None:
                 unknown_parts.setdefault(f"<{tag}> in <{element.tag}>", []).append(element.get("name", ""))
     if unknown_parts:
         listed = "; ".join(f"{kind} {sorted(set(names))[:8]}" for kind, names in sorted(unknown_parts.items()))
-        warn(f"{file}: left out, because they are unknown: {listed}")
+        warn(f"{file}: the reader leaves out these unknown elements: {listed}")
 
 
 def _named(file: str, element: ET.Element) -> str:

@@ -85,7 +85,10 @@ class LinearSystem:
                 result.append(self.C @ np.linalg.solve(2j * np.pi * x * unit - self.A, self.B) + self.D)
             except np.linalg.LinAlgError as error:
                 raise InputError(
-                    "frequencies", frequencies, "others", state=f"has {x:g} Hz, a pole without damping"
+                    "frequencies",
+                    frequencies,
+                    "other frequencies",
+                    state=f"contains {x:g} Hz, the frequency of an undamped pole, where the response is infinite",
                 ) from error
         return np.stack(result) if result else np.zeros((0, *self.D.shape), dtype=complex)
 

@@ -86,7 +86,7 @@ class Contours:
             raise InputError(
                 "rthick",
                 relative,
-                rule=f"is {relative:g}: must be from {low.min():g} to {high.max():g}, as airfoils are",
+                rule=f"is {relative:g}: must lie between {low.min():g} and {high.max():g}, the range of the airfoils",
                 shown="",
                 noun=f"rthick at {position:g}",
             )

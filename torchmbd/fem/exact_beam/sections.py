@@ -85,7 +85,7 @@ class SpanSections:
             element, place = int(rule.span[k // count]), float(places[k // count, k % count])
             raise InputError(
                 (self.name, "section"),
-                allowed="a stiffness that does work in every strain",
+                allowed="a positive definite stiffness",
                 state=f"at {place:.3g} of its length (element {element}) is not positive definite",
             )
         return matrices

@@ -104,7 +104,7 @@ class Mesh:
             raise InputError(
                 "node",
                 name,
-                rule=f"has {len(members)} nodes; a single named node is needed",
+                rule=f"has {len(members)} nodes; allowed: a node set with one node",
                 shown="",
                 noun=f"Mesh: node set {name!r}",
             )

@@ -109,7 +109,12 @@ class VibrationCase:
         if not all_true(squares.detach() > ZERO * terms):
             shape = untransformed(vectors)[..., 0]
             row = int(shape.reshape(-1, shape.shape[-1])[0].abs().argmax())
-            raise supported.movable(Indefinite("a frequency is zero to rounding; hold more freedoms", row))
+            raise supported.movable(
+                Indefinite(
+                    "a frequency is zero, so the supports leave a rigid-body motion free. Try: hold more degrees of freedom",
+                    row,
+                )
+            )
         status = "six rigid motions of the free body are left out" if self.rigid else "ok"
         return Vibrations(squares.sqrt() / (2.0 * math.pi), supported.shapes(vectors), status)
 

@@ -106,7 +106,7 @@ def _line(body: Any) -> BeamLine:
             (body.name,),
             allowed=allowed,
             noun=f"body {body.name!r}",
-            state="of split has motion or position of its own",
+            state="has an initial velocity, initial modal coordinates or a variable position",
         )
     if body.damping.ratios is not None or body.damping.rate != 0.0:
         raise InputError(

@@ -178,7 +178,7 @@ class System(nn.Module):
                 if taken or "." in name:
                     raise InputError(
                         (element.name,),
-                        allowed="a name of its own, without a point",
+                        allowed="an explicit name without a point, because its design variables get this name",
                         noun=repr(element.name),
                         state="has design variables",
                     )

@@ -128,6 +128,7 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
     first = search.begin()
     if not first.ok:
         return Ending(search.start, "failed", f"the start could not be evaluated: {first.status}")
+    most = len(search.history) + max_iterations  # entries of the history, which may have those of another method
     y, evaluation = perturb_stationary_start(search, first)
     assert evaluation.objective_gradient is not None
     left: float | None = None  # objective of the last saddle point that the search has left
@@ -144,7 +145,7 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
     unit, message, number = 1.0, "", 0
     while number < RUNS:
         start = y
-        remaining = max_iterations - (len(search.history) - 1)
+        remaining = most - len(search.history)
         if remaining <= 0:
             break
         stop = _run_wrapped(WrappedProblem(search, y, unit, failed, remaining, number), run)
@@ -179,7 +180,10 @@ def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_itera
         least = REST * max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
         if number > 1 and feasible and not failed and before.objective - evaluation.objective <= least:
             break
-    return _ending(search, y if search.best is None else search.best, message, max_iterations)
+    if len(search.history) >= most:
+        message = f"{max_iterations} iterations were not enough to converge"
+        return Ending(y if search.best is None else search.best, "max_iterations", message)
+    return _ending(search, y if search.best is None else search.best, message)
 
 
 def _beyond(search: Search, y: np.ndarray, kkt: float) -> tuple[tuple[np.ndarray, Evaluation] | None, str]:
@@ -261,9 +265,7 @@ def _with_gradient(search: Search, y: np.ndarray, failed: list[np.ndarray]) -> t
     return y, evaluation
 
 
-def _ending(search: Search, y: np.ndarray, message: str, max_iterations: int) -> Ending:
-    if len(search.history) - 1 >= max_iterations:
-        return Ending(y, "max_iterations", f"{max_iterations} iterations were not enough to converge")
+def _ending(search: Search, y: np.ndarray, message: str) -> Ending:
     evaluation = search.evaluate(y)
     violation = search.violation(evaluation)
     if violation > search.feasibility:

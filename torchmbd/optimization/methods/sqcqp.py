@@ -32,7 +32,7 @@ from torchmbd.optimization.methods.adapters import Stop, WrappedProblem, run_ada
 from torchmbd.optimization.optimizer import Ending, Evaluation, register, require_range
 from torchmbd.optimization.search import Search
 
-FIRST_RADIUS, MOST_RADIUS, LEAST_RADIUS = 0.5, 2.0, 1e-8  # of half the range between bounds
+FIRST_RADIUS, LEAST_RADIUS = 0.5, 1e-12  # of half the range between bounds
 FIRST_PENALTY, MOST_PENALTY = 2.0, 1e6  # rho, in units of the objective; constraints are scaled by their limits
 ENOUGH = 0.1  # share of the violation that may be left
 LESS = 0.9  # share of the violation below which a larger rho leaves less
@@ -40,10 +40,9 @@ ACCEPTED, POOR, GOOD = 1e-3, 0.25, 0.75  # shares of the promised fall
 SHORTER, SHORTEST = 0.5, 0.05  # factors of the radius after a poor step
 FAR_OFF = 50.0  # promised falls by which a step misses before the radius shrinks by more than SHORTER
 AFTER_FAILURE = 0.25  # of the length of a step to a design that fails
-CREEPS = (
-    10,
-    1e-3,
-)  # simulations, and the fall of the objective in them, a share of it, below which a feasible search creeps
+# Simulations, and the fall of the objective in them, a share of it, below which a feasible search creeps along a kink where the
+# Kuhn-Tucker residual is so large: 7 in a valley with a kink, at most 0.03 in smooth ones.
+CREEPS, FALL, KINK = 10, 1e-3, 0.1
 UNLIKE_ZERO = 1e-8  # of |r| |d|: a rank-one update with a smaller denominator is left out
 MODEL_STEPS, MODEL_PRECISION = 200, 1e-12  # of SLSQP on the model problem
 
@@ -120,28 +119,37 @@ def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
         small = ftol * wrapped.shrink * max(abs(float(models.values[0])), SMALLEST_OBJECTIVE)
         if violation <= search.feasibility and promised <= small:
             return Stop(y, True, "the models promise no lower objective")
-        reached = [*reached, float(models.values[0])] if violation <= search.feasibility else []
-        if len(reached) > CREEPS[0] and reached[-1 - CREEPS[0]] - reached[-1] < CREEPS[1] * abs(reached[-1]):
-            message = f"the objective falls by less than {CREEPS[1]:g} in {CREEPS[0]} simulations: it may have a kink"
+        if not promised > 0.0:
+            return Stop(y, False, "the models promise no lower violation")
+        if radius <= LEAST_RADIUS:
+            return Stop(y, False, "no step, however short, does what the models promise")
+        if _creeps(reached) and search.kuhn_tucker(search.evaluate(y, gradients=True), y).residual > KINK:
+            message = f"the objective falls by less than {FALL:g} in {CREEPS} simulations: it may have a kink"
             return Stop(y, False, message, final=True)
-        if length <= LEAST_RADIUS or promised <= 0.0:
-            return Stop(y, False, "no step lowers the violation of the models")
         end = np.clip(y + d * span, wrapped.lower, wrapped.upper)
         evaluation = search.evaluate(end, gradients=True)
         if not evaluation.ok:
             radius = AFTER_FAILURE * length
             continue
+        reached = [*reached, float(models.values[0])] if violation <= search.feasibility else []
         values, gradients = rows(evaluation)
         share = (merit - _merit(values, penalty)) / promised
         models.learn((end - y) / span, gradients)
         if share < POOR:
             radius = length * max(SHORTEST, min(SHORTER, FAR_OFF / (1.0 - share)))
         elif share > GOOD and length >= 0.99 * radius:
-            radius = min(2.0 * radius, MOST_RADIUS)
+            radius *= 2.0
         if share > ACCEPTED:
             y = end
             models.move(values, gradients)
             wrapped.record(y)
+
+
+def _creeps(objectives: list[float]) -> bool:
+    """Return True if the objectives at the last simulations have hardly fallen."""
+    if len(objectives) <= CREEPS:
+        return False
+    return objectives[-1 - CREEPS] - objectives[-1] < FALL * max(abs(objectives[-1]), SMALLEST_OBJECTIVE)
 
 
 def _span(search: Search, y: np.ndarray) -> np.ndarray:

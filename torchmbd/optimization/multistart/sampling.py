@@ -73,7 +73,7 @@ def starts_at(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
     X = np.array(designs) if len({x.shape for x in designs}) == 1 else np.zeros(0)
     if X.ndim != 2 or not X.size:
         raise InputError(
-            "points", rule="must be a list of start designs, all with one value per variable, at least one design"
+            "points", rule="must be a list of at least one start design, each with one value for each variable"
         )
     return Starts("given", len(X), partial(_listed, X))
 
