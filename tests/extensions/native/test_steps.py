@@ -11,11 +11,13 @@ import torch
 
 import torchmbd as mbd
 from tests.integrate.phases.test_phase import pushed
-from tests.mechanisms import box, rigid_pendulum, spoilt, sprung
+from tests.mechanisms import box, pendulum, rigid_pendulum, spoilt, sprung
 from tests.multibody.start.test_initial import four_bar
 from tests.sensitivity.adjoint_cases import strung
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.examples.slider_crank import build
+from torchmbd.extensions.native import steps
+from torchmbd.integrate.stepper import EagerStepper
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 ANGLES = mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])
@@ -171,3 +173,20 @@ def test_forces_with_design_variables_are_compiled(both: Both) -> None:
     same(eager, fast)
     assert eager.dq_db is not None
     assert float(eager.dq_db.abs().amax((0, 1, 2)).min()) > 1e-6
+
+
+@pytest.mark.thorough
+def test_steps_that_count_for_nothing_leave_the_same_numbers_in_every_batch(
+    native: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three designs and four, which fill a block: operators of torch go on by the scale before these steps."""
+    make, run, scales = steps.make_steps, EagerStepper.run, []
+    monkeypatch.setattr(steps, "make_steps", lambda *arguments: make(*arguments) or 1)
+    monkeypatch.setattr(
+        EagerStepper, "run", lambda stepper, *arguments: scales.append(stepper.scale) or run(stepper, *arguments)
+    )
+    system, angles = pendulum(), torch.linspace(0.0, 1.0, 8, dtype=torch.float64).reshape(4, 2)
+    for lanes in (3, 4):
+        designs = {NAME: angles[:lanes]}
+        mbd.simulate(system, 0.01, steps=10, backend="native", gradients="none", designs=designs)
+    torch.testing.assert_close(scales[1][:3], scales[0])

@@ -99,7 +99,7 @@ class NativeStepper(EagerStepper):
         assert self.scale is not None
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
-        scale = blocks(self.scale[None, None])
+        scale = blocks(self.scale[None, None]).clone()  # steps that count for nothing leave self.scale as it was
         row_mask, diagonal_shift = self.diagonal or (None, None)
         arrays = {"shared": table, "state": state, "values": self.values, "tangents": self.tangents, "moved": moved}
         arrays |= {"factors": self.factors, "row_mask": row_mask, "diagonal_shift": diagonal_shift}
