@@ -136,6 +136,13 @@ def test_available_memory_is_that_of_this_machine():
     assert 0.2 * psutil.virtual_memory().available <= process.available_memory() <= process.installed_memory()
 
 
+def test_a_kernel_that_does_not_say_what_is_available_has_what_is_installed(monkeypatch):
+    """/proc/meminfo of WSL 1."""
+    read = Path.read_text
+    monkeypatch.setattr(Path, "read_text", lambda path: "MemFree: 1 kB\n" if path.name == "meminfo" else read(path))
+    assert process.available_memory() == process.installed_memory()
+
+
 @pytest.mark.parametrize(
     ("group", "file", "folder"),
     [
