@@ -214,3 +214,13 @@ def test_shares_do_not_depend_on_the_parts_by_which_they_are_computed(monkeypatc
             shares.append(mbd.simulate(system, 1e-3, steps=7, backend="eager").stats["load_share"])
     assert shares[1] == pytest.approx(shares[0], rel=1e-12)
     assert shares[0]["rod"] > 0.1
+
+
+def test_a_state_that_is_unknown_does_not_hide_the_loads_after_it() -> None:
+    """Means over two intervals of loads of size 1, 1, ?, 1, 1, 9, 9, 9."""
+    loads = torch.zeros(3, 1, 1, 8, dtype=torch.float64)
+    for unknown in (math.nan, math.inf):
+        loads[0, 0, 0] = torch.tensor([1.0, 1.0, unknown, 1.0, 1.0, 9.0, 9.0, 9.0])
+        one = torch.ones(1, 1, 1, dtype=torch.float64)
+        [[largest]] = elastic_limits._largest_loads([(loads, one)], [2], torch.ones(1, 1)).tolist()
+        assert largest == pytest.approx(9.0)

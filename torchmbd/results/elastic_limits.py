@@ -234,11 +234,12 @@ def _intervals(motion: Trajectory, name: str) -> int:
 
 
 def _means(x: Tensor, intervals: int, axis: int) -> Tensor:
-    """Means of x over all successive times that `intervals` lie between, along its axis of times."""
+    """Means of x over all successive times that `intervals` lie between, along its axis of times; an unknown x counts as zero."""
     if not intervals:
         return x
     x = x.movedim(axis, 0)
-    total = torch.cat([torch.zeros_like(x[:1]), (0.5 * (x[1:] + x[:-1])).cumsum(0)])
+    between = (0.5 * (x[1:] + x[:-1])).nan_to_num_(0.0, 0.0, 0.0)
+    total = torch.cat([torch.zeros_like(x[:1]), between.cumsum(0)])
     return ((total[intervals:] - total[:-intervals]) / intervals).movedim(0, axis)
 
 
