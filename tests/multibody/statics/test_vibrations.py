@@ -158,6 +158,19 @@ def test_a_movable_body_is_refused(supports, cells):
         mbd.frequencies(panel(cells), supports)
 
 
+def test_the_node_of_a_zero_frequency_is_that_of_the_design_that_has_it():
+    """A rod of two elements, whose inner one does not resist twist in the second design."""
+    stiffness = torch.diag(torch.tensor([2e5, 1e5, 1e5, 20.0, 30.0, 40.0], dtype=torch.float64))
+    mass = torch.diag(torch.tensor([2.0, 2, 2, 3e-3, 1e-3, 2e-3], dtype=torch.float64))
+    line, section = mbd.BeamLine.straight(1.0, 2), lambda: mbd.GivenSection(stiffness, mass)
+    parts = {"inner": Beams(line, section(), elements=[0]), "outer": Beams(line, section(), elements=[1])}
+    limp = stiffness.clone()
+    limp[3, 3] *= 1e-15
+    f, _ = of_parameter(Frequencies(mbd.FlexibleBody("rod", line, parts, 2, reference=0), None, 1), "body.inner.matrix")
+    with pytest.raises(mbd.InputError, match="frequency of lane 1 is zero .* node . moves most, about x"):
+        f(torch.stack([stiffness, limp]))
+
+
 def test_a_body_that_is_hardly_stiff_is_not_taken_for_movable():
     film = mbd.Laminate(CARBON, [0.3], [3e-4])
     body = mbd.FlexibleBody.plate("film", mbd.mesh.rectangle(12.0, 1.0, (20, 2)), film, modes=1, reference="left_edge")

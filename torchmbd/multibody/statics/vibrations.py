@@ -21,9 +21,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import CutCluster, Matrix, ModalBasis, eigenvalues, modal_basis
-from torchmbd.fem.reduction.forms import Indefinite
+from torchmbd.fem.reduction.forms import Indefinite, lane_name
 from torchmbd.math.checked_numbers import is_whole
-from torchmbd.math.gradients import all_true, untransformed
+from torchmbd.math.gradients import untransformed
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
@@ -106,15 +106,13 @@ class VibrationCase:
         squares = eigenvalues(basis.stiffness)[..., first:end]
         vectors = basis.vectors.detach()[..., first:end]
         terms = (vectors.abs() * (_sizes(K) @ vectors.abs())).sum(-2)
-        if not all_true(squares.detach() > ZERO * terms):
-            shape = untransformed(vectors)[..., 0]
-            row = int(shape.reshape(-1, shape.shape[-1])[0].abs().argmax())
-            raise supported.movable(
-                Indefinite(
-                    "a frequency is zero, so the supports leave a rigid-body motion free. Try: hold more degrees of freedom",
-                    row,
-                )
-            )
+        known = untransformed(squares.detach() > ZERO * terms)
+        zero = ~known.reshape(-1, known.shape[-1])
+        if bool(zero.any()):
+            lane, mode = zero.nonzero()[0].tolist()
+            row = int(untransformed(vectors).reshape(-1, *vectors.shape[-2:])[lane, :, mode].abs().argmax())
+            fault = f"a frequency{lane_name(lane, len(zero))} is zero, so the supports leave a rigid-body motion free"
+            raise supported.movable(Indefinite(f"{fault}. Try: hold more degrees of freedom", row))
         status = "six rigid motions of the free body are left out" if self.rigid else "ok"
         return Vibrations(squares.sqrt() / (2.0 * math.pi), supported.shapes(vectors), status)
 
