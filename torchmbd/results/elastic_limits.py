@@ -234,7 +234,7 @@ def _intervals(motion: Trajectory, name: str) -> int:
 
 
 def _means(x: Tensor, intervals: int, axis: int) -> Tensor:
-    """Means of x over all successive times that `intervals` lie between, along its axis of times; an unknown x counts as zero."""
+    """Means of x over all successive times that `intervals` lie between, along its axis; an unknown x counts as zero."""
     if not intervals:
         return x
     x = x.movedim(axis, 0)
