@@ -101,7 +101,8 @@ def test_a_problem_evaluates_any_number_of_designs_in_batches_that_fit(monkeypat
     X = np.linspace(-1.0, 1.0, 22).reshape(11, 2)
     expected = problem.evaluate(X, True)
     one = memory.lane_bytes(problem.system, 24, 2)
-    monkeypatch.setattr(memory, "installed_memory", lambda: 4.0 * (3.5 * one + memory._shared(problem.system, 24)))
+    installed = memory._tables(problem.system) + 4.0 * (3.5 * one + memory._work(24))
+    monkeypatch.setattr(memory, "installed_memory", lambda: installed)
     sizes = []
     simulate = problem.simulate
     monkeypatch.setattr(problem, "simulate", lambda X, gradients: sizes.append(len(X)) or simulate(X, gradients))
@@ -110,6 +111,14 @@ def test_a_problem_evaluates_any_number_of_designs_in_batches_that_fit(monkeypat
     for a, b in zip(result, expected, strict=True):
         assert a.objective == pytest.approx(b.objective, rel=1e-9)
         np.testing.assert_allclose(a.objective_gradient, b.objective_gradient, rtol=1e-6)
+
+
+def test_tables_of_bodies_that_are_there_anyway_do_not_cut_a_batch_to_one_design(monkeypatch):
+    """They take half of the memory, as curved shells may; a batch has its share of the other half."""
+    system = build()
+    bare = memory.lanes_at_once(system, 24)
+    monkeypatch.setattr(memory, "table_bytes", lambda nodes, parts: 0.5 * memory.installed_memory())
+    assert memory.lanes_at_once(system, 24) == pytest.approx(0.5 * bare, rel=0.1)
 
 
 @pytest.mark.thorough

@@ -21,7 +21,7 @@ from torchmbd.results.history import SEGMENT
 _COPIES = 3  # of the motion: what is recorded, rows of the whole system, work arrays
 _WORK = 8e7  # bytes of multipliers and loads of some thousand states at once (times_as_lanes.py, elastic_limits.py)
 _STEP = 3000.0  # bytes of Python objects for a step of a segment, of however many lanes
-_SHARE = 0.25  # of the machine's memory for one batch
+_SHARE = 0.25  # of the memory beside the tables for one batch
 
 
 def lane_bytes(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> float:
@@ -32,11 +32,19 @@ def lane_bytes(system: System, steps: int, tangents: int = 0, adjoint: bool = Fa
     return motion + sum(design_bytes(len(x.mesh.nodes), x.modes, slopes) for x in system.bodies if hasattr(x, "mesh"))
 
 
-def _shared(system: System, steps: int) -> float:
-    """Bytes of a segment of steps, and of bodies, that do not depend on the number of lanes."""
+def _tables(system: System) -> float:
+    """Bytes of bodies that do not depend on the number of lanes."""
     bodies = [x for x in system.bodies if hasattr(x, "assembly")]
-    tables = sum(table_bytes(len(x.mesh.nodes), x.assembly.parts.values()) for x in bodies)
-    return _WORK + _STEP * (min(steps, SEGMENT) + 1) + tables
+    return sum(table_bytes(len(x.mesh.nodes), x.assembly.parts.values()) for x in bodies)
+
+
+def _work(steps: int) -> float:
+    """Bytes of a segment of steps that do not depend on the number of lanes."""
+    return _WORK + _STEP * (min(steps, SEGMENT) + 1)
+
+
+def _shared(system: System, steps: int) -> float:
+    return _tables(system) + _work(steps)
 
 
 def motion_bytes(system: System, lanes: int, steps: int, tangents: int = 0, adjoint: bool = False) -> float:
@@ -69,5 +77,5 @@ def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, ad
 
 def lanes_at_once(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> int:
     """Designs of a batch that leaves most of the machine's memory free, one at least; the same for the same machine."""
-    free = _SHARE * installed_memory() - _shared(system, steps)
+    free = _SHARE * (installed_memory() - _tables(system)) - _work(steps)
     return max(1, int(min(free / lane_bytes(system, steps, tangents, adjoint), 2.0**30)))
