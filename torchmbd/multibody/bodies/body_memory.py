@@ -6,6 +6,7 @@
 numbers   those of the matrices of cells (fem/elements/cell_stiffness.py). Cells of equal shape share them: a plate of
           rectangles has few, and a curved shell has 6,300 for each quadrilateral
 FILL      the factor of K, which has about 162 (log2(6 nodes) - 9) entries for each node of a plate, and its fronts
+modes     all shapes of the basis: six for each node of a Craig-Bampton interface as well
 slopes    derivatives by design variables that are propagated forward
 
 Measured on the peak of processes: plates of 65 to 83,000 nodes, wing boxes of 555 to 9,669 nodes, curved shells of 1,700 to
@@ -26,6 +27,7 @@ from torchmbd.process import available_memory, bytes_text, rounded_down
 
 _TABLES, _MATRICES = 25_000.0, 14.0  # bytes for each node, for each number of the matrices of cells
 _NODE, _FILL, _MODE, _SLOPE, _MODE_SLOPE = 8600.0, 2000.0, 600.0, 1000.0, 400.0  # bytes for each node
+_FEW = 6  # modes: where these fit the mesh is not too large
 
 
 def table_bytes(nodes: int, parts: Iterable[Part]) -> float:
@@ -40,15 +42,28 @@ def design_bytes(nodes: int, modes: int, slopes: int = 0) -> float:
     return nodes * (_NODE + fill + _MODE * modes + slopes * (_SLOPE + _MODE_SLOPE * modes))
 
 
-def require_memory(name: str, nodes: int, parts: Iterable[Part], modes: Any) -> None:
-    """Refuse a body that does not fit into memory. InputError names its freedoms, its memory, and the freedoms that fit."""
-    needed = table_bytes(nodes, parts) + design_bytes(nodes, modes if is_whole(modes) else 0)
-    free = available_memory()
-    if needed > free:
-        raise InputError(
-            (name, "mesh"),
-            allowed=f"up to {rounded_down(int(6 * nodes * free / needed))} freedoms",
-            noun=f"mesh of {name!r}",
-            state=f"has {6 * nodes} freedoms: their modes take about {bytes_text(needed)} of memory, "
-            f"{bytes_text(free)} are available",
-        )
+def require_memory(name: str, nodes: int, parts: Iterable[Part], modes: Any, kept: int = 0) -> None:
+    """Refuse a body that does not fit into memory; InputError names the argument that is too large, and what fits.
+
+    kept   nodes of the interface: each has six shapes beside the modes
+    """
+    count = min(modes, 6 * nodes) if is_whole(modes) else 0
+    few, free = min(count, _FEW), available_memory()
+    without = table_bytes(nodes, parts) + design_bytes(nodes, 0)
+    needed = without + nodes * _MODE * (count + 6 * kept)
+    if needed <= free:
+        return
+    fitting = int((free - without) / (nodes * _MODE))
+    sizes = f"take about {bytes_text(needed)} of memory, {bytes_text(free)} are available"
+    if fitting >= 6 * kept + few:
+        allowed = f"up to {rounded_down(fitting - 6 * kept)}"
+        raise InputError((name, "modes"), modes, allowed, shown=f"{modes}: they {sizes}")
+    if kept and fitting >= 6 + few:
+        allowed = f"up to {rounded_down((fitting - few) // 6)} nodes"
+        raise InputError((name, "interface"), allowed=allowed, state=f"has {kept} nodes: their shapes {sizes}")
+    raise InputError(
+        (name, "mesh"),
+        allowed=f"up to {rounded_down(int(6 * nodes * free / needed))} freedoms",
+        noun=f"mesh of {name!r}",
+        state=f"has {6 * nodes} freedoms: their modes {sizes}",
+    )

@@ -140,7 +140,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
                     state="vary, and some are linked",
                 )
             self.add_module("line", mesh.node_module)  # pyright: ignore[reportAttributeAccessIssue]
-        require_memory(name, len(mesh.nodes), joined.values(), modes)
+        require_memory(name, len(mesh.nodes), joined.values(), modes, len(interfaces.kept))
         self._register(parts)
         self.assembly = Assembly(mesh, joined, self.reference, links, interfaces.means)
         self.free = self.assembly.freedoms.free
