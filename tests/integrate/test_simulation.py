@@ -182,3 +182,18 @@ def test_a_problem_prepares_its_motions_once(monkeypatch):
         [evaluation] = problem.evaluate(problem.start[None], False)
         assert evaluation.status == "ok"
     assert len(made) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("phases", PHASES), ("steps", 8), ("duration", 0.1), ("method", "rk4"), ("backend", "native"), ("start", RATES)],
+)
+def test_arguments_cannot_change(name, value):
+    """The motion would be of the former ones, or of these, by the way its gradients are computed."""
+    simulation = mbd.Simulation(mbd.examples.pendulum(), 0.02, steps=4, backend="eager", phases=PHASES)
+    with refused(name, value):
+        setattr(simulation, name, value)
+    with pytest.raises(TypeError):
+        simulation.phases[0] = mbd.Phase()
+    assert simulation.with_arguments(steps=6).phases == tuple(PHASES)
+    assert pickle.loads(pickle.dumps(simulation)).steps == copy.copy(simulation).steps == 4

@@ -7,7 +7,7 @@ of this system, and the segments of the phases (phases/segment.py). A call check
 
 Numbers count as they are at the call: parameters and constants of the system, and tensors of `start`. Where the topology of the
 system was made anew since the preparation, as `System` does for other constant positions, axes or rates of bodies and after
-`load_state_dict`, or where `stabilization` is another, the next call prepares anew.
+`load_state_dict`, or where `stabilization` is another, the next call prepares anew. Arguments cannot change.
 Checked in tests/integrate/test_simulation.py, tests/integrate/test_simulate.py.
 """
 
@@ -101,7 +101,8 @@ class Simulation(Summary):
 
     A call uses the present numbers of parameters, constants and tensors of `start`. If constant positions, axes or velocities
     of bodies have changed, or a state dict was loaded, the call prepares the simulation again. Bodies, joints and forces of a
-    System cannot change: make another System and another Simulation. Raises InputError for bad arguments.
+    System cannot change: make another System and another Simulation. Arguments of a Simulation cannot change either:
+    `with_arguments` makes another. Raises InputError for bad arguments.
 
     >>> simulation = mbd.Simulation(mbd.examples.arm(), duration=0.1, steps=40)
     >>> simulation().q.shape  # lanes, times, coordinates
@@ -129,7 +130,7 @@ class Simulation(Summary):
         check_dtypes(system)
         self.system, self.duration, self.method, self.backend = system, duration, method, backend
         self.steps = None if steps is None else int(steps)
-        self.phases = list(phases) if isinstance(phases, list) else ONE_PHASE if phases is None else phases
+        self.phases = tuple(phases) if isinstance(phases, list) and phases else ONE_PHASE if phases is None else phases
         self.start = dict(start) if isinstance(start, Mapping) else start
         self.options = options
         self._known: _Preparation | None = None
@@ -141,6 +142,13 @@ class Simulation(Summary):
         options = {name: x for name, x in arguments.items() if name not in argument_names(cls)}
         integrator_of(arguments.get("method", DEFAULT), options, names)
         return cls(system, duration, **arguments)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """InputError for an argument: motions would follow in part from what was prepared with the former one."""
+        if name in vars(self) and not name.startswith("_"):
+            allowed = f"simulation.with_arguments({name}=...), which makes another"
+            raise InputError(name, value, allowed, state="of a Simulation cannot change")
+        super().__setattr__(name, value)
 
     @property
     def seconds(self) -> float:
@@ -165,7 +173,7 @@ class Simulation(Summary):
             return self
         checked_integrator(self.duration, self.method, steps, self.options)
         known, other = self._prepared(), copy.copy(self)
-        other.steps, other._known = None if steps is None else int(steps), known
+        vars(other).update(steps=None if steps is None else int(steps), _known=known)
         return other
 
     def with_arguments(self, **arguments: Any) -> Simulation:
