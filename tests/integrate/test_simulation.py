@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import gc
 import pickle
+import weakref
 
 import pytest
 import torch
@@ -11,6 +13,7 @@ import torch
 import torchmbd as mbd
 from tests.mechanisms import pendulum
 from tests.refused import refused
+from torchmbd.examples.slider_crank import build
 
 ANGLES = "rod.laminate.angles"
 DESIGNS = torch.tensor([[0.35, -0.87]], dtype=torch.float64)
@@ -197,3 +200,24 @@ def test_arguments_cannot_change(name, value):
         simulation.phases[0] = mbd.Phase()
     assert simulation.with_arguments(steps=6).phases == tuple(PHASES)
     assert pickle.loads(pickle.dumps(simulation)).steps == copy.copy(simulation).steps == 4
+
+
+def body_after_a_motion(backend: str) -> weakref.ref:
+    """A body of a system whose crank is prescribed; the motion, its multipliers and a gradient were read."""
+    system = build(1, cells=(2, 2), modes=1)
+    motion = mbd.simulate(system, 1e-3, steps=2, backend=backend)
+    (ENERGY(motion).sum() + motion.lam.sum()).backward()
+    return weakref.ref(system.body("rod"))
+
+
+def test_bodies_of_a_system_end_with_it():
+    body = body_after_a_motion("eager")
+    gc.collect()
+    assert body() is None
+
+
+@pytest.mark.thorough
+def test_bodies_of_a_system_of_compiled_code_end_with_it(native):
+    body = body_after_a_motion("native")
+    gc.collect()
+    assert body() is None

@@ -55,6 +55,7 @@ class Mechanism:
         self.called = CalledLaws([law for some in self.groups.values() for _, _, law in some])
         self.sizes, self.tables, self.constants = self._sizes(), self._tables(), self._constants()
         self._matrix(slopes)
+        del self.T, self.groups, self.blocks  # a topology is kept by its bodies, not by its mechanism (library.py)
 
     def _members(self) -> list[tuple[list[torch.Tensor], np.ndarray]]:
         """Of each form of action: vectors of its arguments, and numbers of its actions."""

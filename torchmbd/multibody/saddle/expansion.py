@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -87,11 +87,17 @@ class _Selected(NamedTuple):
     of_body: dict[int, tuple[Tensor, Tensor]]
 
 
-@lru_cache(maxsize=64)  # of one condensation: all, and those of each body and order
+#: The rows of each condensation: all, and those of each body and order. They hold no body, which would live as long as they.
+_SELECTED: WeakKeyDictionary[Condensation, dict[tuple[int, tuple[int, ...] | None], _Selected]] = WeakKeyDictionary()
+
+
 def _selected(c: Condensation, components: int, index: tuple[int, ...] | None) -> _Selected:
     """The rows of `index` (None: all) of q (7 components for each body) or of v and a (6)."""
-    with torch.inference_mode(False):  # kept for any mode of later callers
-        return outside_transforms(lambda: _made(c, components, index))
+    known, key = _SELECTED.setdefault(c, {}), (components, index)
+    if key not in known:
+        with torch.inference_mode(False):  # kept for any mode of later callers
+            known[key] = outside_transforms(lambda: _made(c, components, index))
+    return known[key]
 
 
 def _made(c: Condensation, components: int, index: tuple[int, ...] | None) -> _Selected:
