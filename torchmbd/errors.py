@@ -218,7 +218,9 @@ def within(place: object, error: InputError, *keys: str | int) -> InputError:
     keys  the path to the place; default: its words
     """
     path = (*(keys or (str(place),)), *error.path)
-    whole = InputError(path, error.value, rule=str(error), noun=f"{place}:", shown="")
+    value = error.value if error._has_value else _ABSENT
+    rule = str(error).removesuffix(f". Try: {error.hint}")
+    whole = InputError(path, value, rule=rule, hint=error.hint, noun=f"{place}:", shown="")
     whole.allowed = error.allowed
     return whole
 

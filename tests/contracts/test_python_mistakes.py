@@ -98,16 +98,16 @@ MISTAKES = {
     "arc in degrees": (lambda: mbd.BeamLine.arc(1.0, 90.0), "angle = 90.0 rad", "0 to 2 pi"),
     # bodies
     "reduction": (lambda: plate(reduction="guyan"), "'guyan'", "vibration, craig-bampton"),
-    "modes": (lambda: plate(modes=0), "modes of 'rod' is 0", "a whole number"),
+    "modes": (lambda: plate(modes=0), "rod.modes is 0", "a whole number"),
     "reference": (lambda: plate(reference="rigth"), "node 'rigth'", "did you mean 'right'"),
     "interface": (lambda: plate(reduction="craig-bampton", interface=["rihgt"]), "'rihgt'", "did you mean 'right'"),
     "lumped": (lambda: plate(mass="lump"), "mass 'lump'", "did you mean 'lumped'"),
-    "damping": (lambda: plate(damping=-1.0), "damping of 'rod' is -1.0 s", "zero or positive"),
-    "axes": (lambda: plate(axes=[[1, 0, 0], [0, 2, 0], [0, 0, 1]]), "axes of 'rod'", "orthonormal columns"),
-    "position": (lambda: plate(position=(1, 2)), "position of 'rod' is (1, 2)", "three finite numbers"),
+    "damping": (lambda: plate(damping=-1.0), "rod.damping is -1.0 s", "zero or positive"),
+    "axes": (lambda: plate(axes=[[1, 0, 0], [0, 2, 0], [0, 0, 1]]), "rod.axes", "orthonormal columns"),
+    "position": (lambda: plate(position=(1, 2)), "rod.position is (1, 2)", "three finite numbers"),
     "beam": (lambda: any_.FlexibleBody.beam("b", mbd.BeamLine.straight(1.0), "tube"), "section is 'tube'", "a Section"),
     "name": (lambda: mbd.RigidBody("a b", 1.0, (1, 1, 1)), "'a b'", "a Python identifier"),
-    "mass": (lambda: mbd.RigidBody("a", -1.0, (1, 1, 1)), "mass of 'a' is -1.0 kg", "a positive and finite number"),
+    "mass": (lambda: mbd.RigidBody("a", -1.0, (1, 1, 1)), "a.mass is -1.0 kg", "a positive and finite number"),
     "inertia": (lambda: mbd.RigidBody("a", 1.0, (1, 1, 9)), "[1.0, 1.0, 9.0] kg m2", "the sum of any two"),
     "node": (lambda: SYSTEM.body("rod").at("rigth"), "node 'rigth'", "did you mean 'right'"),
     "body": (lambda: SYSTEM.body("rodd"), "body 'rodd'", "did you mean 'rod'"),
@@ -141,7 +141,7 @@ MISTAKES = {
         "a function of a",
     ),
     "unit": (lambda: any_.history(abs, unit=5), "unit is 5", "the name of an SI unit"),
-    "limit": (lambda: mbd.Max(ENERGY) <= "start", "limit of a constraint is 'start'", "'initial'"),
+    "limit": (lambda: mbd.Max(ENERGY) <= "start", "Constraint.limit is 'start'", "'initial'"),
     "weights": (lambda: any_.WeightedSum([(1.0,)]), "terms is [(1.0,)]", "pairs (weight, measure)"),
     "minimize a history": (lambda: problem(minimize=ENERGY), "minimize is StrainEnergy", "a measure"),
     "minimise": (
@@ -191,7 +191,7 @@ MISTAKES = {
     "robust": (lambda: mbd.RobustProblem(BOX, 0.1, "expect"), "kind 'expect'", "did you mean 'expected'"),
     # switches
     "symmetric": (lambda: any_.Laminate(PLY, [0.0], 1e-3, symmetric="no"), "symmetric is 'no'", "True or False"),
-    "rigid": (lambda: any_.Interface([0], rigid=1), "rigid of an Interface is 1", "True or False"),
+    "rigid": (lambda: any_.Interface([0], rigid=1), "Interface.rigid is 1", "True or False"),
     "scaling": (lambda: any_.optimize(BOX, scaling=None), "scaling is None", "True or False"),
     "eager": (lambda: any_.multistart(BOX, eager_gradients="no"), "eager_gradients is 'no'", "True or False"),
     "second order": (lambda: any_.optimize(BOX, "mmfd", second_order="no"), "second_order is 'no'", "True or False"),
@@ -199,11 +199,11 @@ MISTAKES = {
     "progress": (lambda: simulate(progress="no"), "progress is 'no'", "True or False"),
     "follow": (lambda: any_.equilibrium(SYSTEM, follow="no"), "follow is 'no'", "True or False"),
     "unstable": (lambda: any_.equilibrium(SYSTEM, unstable=2), "unstable is 2", "True or False"),
-    "stiffening": (lambda: plate(stiffening="no"), "stiffening of 'rod' is 'no'", "True or False"),
+    "stiffening": (lambda: plate(stiffening="no"), "rod.stiffening is 'no'", "True or False"),
     # files and pictures
     "file": (lambda: any_.problem_of(3), "file is 3", "the path of a file"),
     "store": (lambda: mbd.load("run", uri="foo"), "uri = 'foo'", "sqlite:"),
-    "picture": (lambda: any_.viz.save(None, "a.gif"), "path = 'a.gif'", ".png, .pdf, .svg"),
+    "picture": (lambda: any_.viz.save(None, "a.gif"), "path is 'a.gif'", ".png, .pdf, .svg"),
     "no motion": (lambda: mbd.viz.animate("x", "y.html"), "motion is 'x'", "a motion"),
 }
 

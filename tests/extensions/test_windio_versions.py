@@ -163,7 +163,7 @@ def test_a_later_version_2_is_read_with_a_warning(tmp_path):
 def test_a_version_that_is_missing_or_wrong_is_named(tmp_path):
     data = version_2()
     del data["windIO_version"]
-    with pytest.raises(InputError, match=r"windIO_version must be 2 where the blade has an outer_shape"):
+    with pytest.raises(InputError, match=r"windIO_version is missing: must be 2 where the blade has an outer_shape"):
         read(tmp_path, data)
     with pytest.raises(InputError, match=r"blade.reference_axis must be there in version 2"):
         read(tmp_path, version_1() | {"windIO_version": "2.0"})
@@ -217,7 +217,7 @@ def test_an_anchor_by_a_part_of_the_contour(tmp_path):
         ),
         (
             lambda s: named(s["layers"], "cap").pop("end_nd_arc"),
-            "layer 'cap'.end_nd_arc must refer to an anchor",
+            "layer 'cap'.end_nd_arc is missing: must refer to an anchor",
         ),
         (
             lambda s: named(s["layers"], "cap").update(start_nd_arc=along(0.2, 0.2)),

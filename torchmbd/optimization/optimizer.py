@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.optimization.failures import are_many, failures_text
 from torchmbd.summary import Summary, few
 
@@ -214,9 +214,9 @@ class OptimizationResult(Summary):
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
-    >>> result = mbd.optimize(problem, max_iterations=2)
+    >>> result = mbd.optimize(problem, max_iterations=1)
     >>> result.status, result.x.shape, len(result.history)
-    ('max_iterations', (2,), 3)
+    ('converged', (2,), 2)
     >>> result.motion.status  # of the best design
     ['ok']
     """
@@ -351,9 +351,7 @@ def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = (
     allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
     for option in options:
         if option not in allowed:
-            names = nearest(option, [*allowed, *arguments])
-            rule = f"for method {name!r} the option {option!r} does not exist{names}"
-            raise InputError(option, options[option], rule=rule)
+            raise unknown(f"option of method {name!r}", option, [*allowed, *arguments], path=(option,))
     return method
 
 

@@ -253,8 +253,9 @@ def _anchors(
         if result is None:
             raise InputError(
                 ("minimize", name),
-                rule="was found from the starts given",
-                noun=f"criterion {name!r}: no feasible design",
+                rule="has no feasible design from these starts",
+                hint="more starts, or weaker constraints",
+                noun=f"criterion {name!r}",
             )
     anchors = [result for result in results if result is not None]
     F = np.array([searches.cache.evaluate(anchor.x[None], False)[0].values for anchor in anchors])

@@ -46,8 +46,10 @@ def table(
     for name in names:
         _add(columns, _columns(motion, name))
     for heading, history in (histories or {}).items():
-        if not isinstance(heading, str) or not callable(history):
-            raise InputError(("histories", str(heading)), history, rule="must be a history of a motion")
+        if not isinstance(heading, str):
+            raise InputError("histories", heading, rule="must have words as headings", noun="a heading of histories")
+        if not callable(history):
+            raise InputError(("histories", heading), history, rule="must be a history of a motion")
         x = history(motion)
         if not isinstance(x, Tensor) or x.shape != (motion.lanes, len(motion.t)):
             shape = list(x.shape) if isinstance(x, Tensor) else type(x).__name__

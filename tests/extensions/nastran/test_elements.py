@@ -142,7 +142,7 @@ def test_an_anisotropic_solid_is_the_isotropic_one(stiffness):
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        (["CROD,7,9,1,2", STEEL], "PROD is 9"),
+        (["CROD,7,9,1,2", STEEL], "PROD 9 does not exist"),
         (["CROD,7,5,1,3", "PROD,5,1,1.-4", STEEL], "length 0"),
         (["CELAS2,7,5.,1,9,2,1"], "C1 is 9"),
         (["CBUSH,7,5,1,3", "PBUSH,5,K,1."], "at one place"),

@@ -256,7 +256,7 @@ def test_beams_of_bars(section, body):
         ("PBARL,5,2,,BAR", "PBARL,5,2,,DBOX", ["PBARL 5", "TYPE is 'DBOX'", "ROD, T, T1"]),
         (",0.,1.,1.", ",0.,1.,1.\n,37", ["CBAR 1", "pins '37'", "1 to 6"]),
         (",0.,1.,1.", ",0.,1.,1.,BGX", ["CBAR 1", "OFFT is 'BGX'"]),
-        ("CBAR,1,5,1,2,0.,1.,1.", "CBAR,1,5,1,2,99", ["CBAR 1", "G0 is 99"]),
+        ("CBAR,1,5,1,2,0.,1.,1.", "CBAR,1,5,1,2,99", ["CBAR 1", "GRID 99 does not exist"]),
         ("MAT1,2,70.+9,,.3", "MAT1,2,70.+9,,", ["MAT1 2", "two of E, G, NU"]),
         ("PBARL,5,2,,BAR", "PBCOMP,5,2", ["CBAR 1", "property 5 does not exist"]),
         ("PBARL,5,2,,BAR\n,.01,.02", "PBEAM,5,2,2.-4,6.-9,1.-9,0.,4.-9\n,\n,NO,1.2,1.-4", ["PBEAM 5", "X/XB is 1.2"]),

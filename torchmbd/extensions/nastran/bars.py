@@ -96,7 +96,7 @@ def _vector(data: BulkData, bar: Bar) -> np.ndarray:
     if card.text(5).isdigit():
         grid = card.integer(5, "G0")
         if grid not in data.grids:
-            raise InputError((str(card), "G0"), grid, "a GRID that exists")
+            raise wrong_entry(card, f"GRID {grid} does not exist", "the number of a GRID", key="G0")
         return np.array(data.grids[grid]) - np.array(data.grids[bar.grids[0]])
     x = np.array([card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)])
     return x if _offset_flags(bar)[0] == "B" else x @ data.displacement_axes(bar.grids[0])

@@ -303,7 +303,7 @@ class BulkData:
     def property_of(self, card: Card, name: str, number: int) -> Card:
         """Return the property card of a rod, spring, bushing, solid or shear panel."""
         if (name, number) not in self.other_properties:
-            raise InputError((str(card), name), number, "a number that exists: a card is missing")
+            raise wrong_entry(card, f"{name} {number} does not exist", "the number of a card", key="PID")
         return self.other_properties[name, number]
 
     def material(self, card: Card, number: int) -> Card:

@@ -112,11 +112,7 @@ def _direction(data: BulkData, shell: Shell) -> list[float]:
     normal = torch.linalg.cross(p[2] - p[0], (p[3] if len(p) == 4 else p[2]) - p[1])
     size = normal.norm()
     if float(size) == 0.0:
-        raise wrong_entry(
-            f"{shell.card} is collapsed (its corners are on a line)",
-            "is collapsed (its corners are on a line)",
-            key="G",
-        )
+        raise wrong_entry(shell.card, "is collapsed (its corners are on a line)", key="G")
     normal = normal / size
     side = side - (side @ normal) * normal
     theta = math.radians(shell.theta or 0.0)

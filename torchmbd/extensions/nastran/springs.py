@@ -151,7 +151,7 @@ def _bushing_axes(data: BulkData, link: Link, a: np.ndarray, b: np.ndarray, k: l
     if card.text(5).isdigit():
         grid = card.integer(5, "G0")
         if grid not in data.grids:
-            raise InputError((str(card), "G0"), grid, "a GRID that exists")
+            raise wrong_entry(card, f"GRID {grid} does not exist", "the number of a GRID", key="G0")
         v = np.array(data.grids[grid]) - a
     else:
         v = np.array([card.real(5 + i, f"X{i + 1}", 0.0) for i in range(3)])

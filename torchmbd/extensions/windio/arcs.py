@@ -109,7 +109,7 @@ class AnchorArcs:
     def _end(self, owner: str, entry: Mapping[str, Any], side: str, position: float, profile: Profile) -> float:
         key = f"{side}_nd_arc"
         if key not in entry:
-            raise InputError((owner, key), rule="must refer to an anchor")
+            raise InputError((owner, key), rule="is missing: must refer to an anchor")
         anchor, handle = _reference(f"{key} of {owner}", entry[key])
         return self._handle(f"{key} of {owner}", anchor, handle, position, profile, ())
 

@@ -69,7 +69,9 @@ def entries(data: Mapping[str, Any]) -> Entries:
         raise InputError("windIO_version", stated, rule="must be 1 or 2, such as 2.0")
     if stated is None and "outer_shape_bem" not in blade and "outer_shape" in blade:
         raise InputError(
-            "windIO_version", rule="must be 2 where the blade has an outer_shape", hint="windIO_version: 2.0"
+            "windIO_version",
+            rule="is missing: must be 2 where the blade has an outer_shape",
+            hint="windIO_version: 2.0",
         )
     for key in _KEYS[number[1]]:
         if key not in blade:

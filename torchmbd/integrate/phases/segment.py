@@ -190,7 +190,7 @@ def _check_names(system: System, names: Sequence[str]) -> None:
         twice = sorted({name for name in labels if labels.count(name) > 1})
         if twice:
             raise InputError(
-                "phases",
+                kind,
                 rule=f"have the names {', '.join(twice)} more than once; allowed with phases: unique names",
                 noun=kind,
             )

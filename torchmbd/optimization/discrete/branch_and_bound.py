@@ -256,7 +256,8 @@ def optimize_discrete(
     admits         rules that a design [n] on the values must keep, such as those of a laminate; rounding then takes the
                    nearest admitted design within two increments (a rule that ties variables, such as symmetry, is better
                    a link of the problem, for few designs keep it)
-    method, starts, max_iterations, max_lanes, feasibility, options   of the relaxation, as in `multistart`
+    method         of the relaxation; "auto" is "slsqp" here, since boxes begin beside an optimum
+    starts, max_iterations, max_lanes, feasibility, options   of the relaxation, as in `multistart`
 
     Continuous variables keep their values among neighbors. Raises InputError as `multistart`, and where no value is in bounds.
 
@@ -266,6 +267,7 @@ def optimize_discrete(
     >>> np.degrees(found.best.x).round(6).tolist(), found.size  # of 3 x 3 designs
     ([0.0, 0.0], 9)
     """
+    method = "slsqp" if method == DEFAULT_METHOD else method
     function = find_method(method, options, argument_names(optimize_discrete))
     require_limits(max_iterations, None)
     require_count("max_boxes", max_boxes, 0, 1_000_000)

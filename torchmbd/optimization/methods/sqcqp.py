@@ -35,7 +35,7 @@ from torchmbd.optimization.search import Search
 FIRST_RADIUS, LEAST_RADIUS = 0.5, 1e-12  # of half the range between bounds
 FIRST_PENALTY, MOST_PENALTY = 2.0, 1e6  # rho, in units of the objective; constraints are scaled by their limits
 ENOUGH = 0.1  # share of the violation that may be left
-LESS = 0.9  # share of the violation below which a larger rho leaves less
+LESS = 0.9  # share of the violation below which the largest rho leaves less
 ACCEPTED, POOR, GOOD = 1e-3, 0.25, 0.75  # shares of the promised fall
 SHORTER, SHORTEST = 0.5, 0.05  # factors of the radius after a poor step
 FAR_OFF = 50.0  # promised falls by which a step misses before the radius shrinks by more than SHORTER
@@ -170,16 +170,17 @@ def _merit(values: np.ndarray, penalty: float) -> float:
 def _step(
     models: Models, low: np.ndarray, high: np.ndarray, penalty: float, feasibility: float
 ) -> tuple[np.ndarray, float]:
-    """Return the step d [n] of the model problem, and rho, raised as long as a larger one leaves less violation."""
+    """Return the step d [n] of the model problem, and rho, raised as long as the largest one leaves less violation."""
     d = _solve(models, low, high, penalty)
     left = _violation(models.at(d))
     enough = max(feasibility, ENOUGH * _violation(models.values))
-    while left > enough and penalty < MOST_PENALTY:
-        other = _solve(models, low, high, 10.0 * penalty)
-        less = _violation(models.at(other))
-        if less > LESS * left:
-            break
-        d, left, penalty = other, less, 10.0 * penalty
+    if left <= enough:
+        return d, penalty
+    least = _violation(models.at(_solve(models, low, high, MOST_PENALTY)))
+    while left > enough and least < LESS * left and penalty < MOST_PENALTY:
+        penalty *= 10.0
+        d = _solve(models, low, high, penalty)
+        left = _violation(models.at(d))
     return d, penalty
 
 
