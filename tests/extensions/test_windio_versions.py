@@ -282,7 +282,7 @@ def test_parts_that_are_not_made_are_warned_of(tmp_path):
         read(tmp_path, data)
     data = version_2()
     parts(data)[1]["webs"][0]["flanges"] = [{"type": "L", "side": "both"}]
-    with pytest.warns(UserWarning, match="flanges of web 'web' are left out"):
+    with pytest.warns(UserWarning, match="leaves out the flanges of web 'web'"):
         read(tmp_path, data)
 
 

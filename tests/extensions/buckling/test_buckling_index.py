@@ -279,12 +279,12 @@ def test_in_experiment_files():
 def test_what_cannot_buckle_so_is_named(tmp_path):
     body = rod()
     system = loaded(body, "start", "end", (-1.0, 0.0, 0.0), 1.0)
-    refused = [
+    cases = [
         ({"number": 0}, "number"),
         ({"supports": {"start": "u9"}}, "rod.supports.start"),
         ({"supports": {"start": (1e-3, None, None, None, None, None)}}, "supports"),
     ]
-    for given, path in refused:
+    for given, path in cases:
         with refused(path):
             mbd.BucklingIndex("rod", **given).check(system)
     with pytest.raises(mbd.InputError, match="leave it movable"):
