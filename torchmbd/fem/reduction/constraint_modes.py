@@ -37,6 +37,7 @@ from torchmbd.fem.reduction.operator_call import ModeDerivative
 from torchmbd.fem.reduction.transport import Pencil
 from torchmbd.math.checked_numbers import indices
 from torchmbd.math.sparse import Pattern, SparseMatrix
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.vmap import apply_as_lanes
 
 
@@ -72,14 +73,18 @@ def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
 @lru_cache(maxsize=64)
 def interior_freedoms(interface: tuple[int, ...], size: int) -> Tensor:
     """The other degrees of freedom, in rising order."""
-    held = torch.zeros(size, dtype=torch.bool)
-    held[list(interface)] = True
-    return (~held).nonzero().squeeze(-1)
+
+    def others() -> Tensor:
+        held = torch.zeros(size, dtype=torch.bool)
+        held[list(interface)] = True
+        return (~held).nonzero().squeeze(-1)
+
+    return outside_transforms(others)  # it is kept, and a tensor of a transform must not outlive it
 
 
 @lru_cache(maxsize=64)
 def _restricted(pattern: Pattern, interface: tuple[int, ...]) -> tuple[Pattern, Tensor]:
-    return pattern.restrict(interior_freedoms(interface, pattern.size))
+    return outside_transforms(lambda: pattern.restrict(interior_freedoms(interface, pattern.size)))
 
 
 def interior(matrix: Matrix, interface: tuple[int, ...], size: int) -> Matrix:
