@@ -26,7 +26,7 @@ from experiments.models.part_optima import OPTIMA
 from torchmbd.optimization.optimizer import OptimizationResult
 
 CLOSE = 0.01  # of the optimum: the engineer's precision of a mass or an energy
-STARTS, ANALYSES, SEED = 2, 80, 3
+STARTS, ANALYSES, SEED = 2, 40, 3
 METHODS = ("auto", "slsqp", "mmfd", "mma", "trust-constr")
 CONFIGS = Path(__file__).parents[2] / "configs" / "slider_crank"
 

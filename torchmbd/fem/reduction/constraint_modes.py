@@ -36,8 +36,8 @@ from torchmbd.fem.reduction.forms import Dense, Sparse, check, check_positive_di
 from torchmbd.fem.reduction.operator_call import ModeDerivative
 from torchmbd.fem.reduction.transport import Pencil
 from torchmbd.math.checked_numbers import indices
-from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.math.module_call import outside_transforms
+from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.math.vmap import apply_as_lanes
 
 
