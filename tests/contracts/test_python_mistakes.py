@@ -74,7 +74,7 @@ MISTAKES = {
     ),
     "designs": (lambda: simulate(designs=[1.0]), "designs is [1.0]", "parameter name -> tensor"),
     "variables": (lambda: simulate(variables=["rod.angles"]), "'rod.angles'", "did you mean 'rod.laminate.angles'"),
-    "phases": (lambda: simulate(phases=[1]), "phases is [1]", "mbd.Phase"),
+    "phases": (lambda: simulate(phases=[1]), "phases is (1,)", "mbd.Phase"),
     "system": (lambda: any_.simulate("arm", 0.01), "system is 'arm'", "a System"),
     # materials
     "modulus": (lambda: mbd.Ply(**NUMBERS | {"E1": -1.0}), "E1 = -1.0", "a finite number > 0"),

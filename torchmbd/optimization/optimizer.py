@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, nearest, unknown
 from torchmbd.optimization.failures import are_many, failures_text
 from torchmbd.summary import Summary, few
 
@@ -351,7 +351,9 @@ def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = (
     allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
     for option in options:
         if option not in allowed:
-            raise unknown(f"option of method {name!r}", option, [*allowed, *arguments], path=(option,))
+            names = nearest(option, [*allowed, *arguments])
+            rule = f"for method {name!r} the option {option!r} does not exist{names}"
+            raise InputError(option, options[option], rule=rule)
     return method
 
 
