@@ -267,13 +267,14 @@ def optimize_discrete(
     >>> np.degrees(found.best.x).round(6).tolist(), found.size  # of 3 x 3 designs
     ([0.0, 0.0], 9)
     """
-    method = "slsqp" if method == DEFAULT_METHOD else method
     function = find_method(method, options, argument_names(optimize_discrete))
     require_limits(max_iterations, None)
     require_count("max_boxes", max_boxes, 0, 1_000_000)
     require_count("max_neighbors", max_neighbors, 0, 1_000_000)
     box = checked_box(problem)
     require_method_of_size(method, box[0].size)
+    if method == DEFAULT_METHOD:
+        method, function = "slsqp", find_method("slsqp", options)
     grid = Grid(problem, allowed, box[1], box[2], getattr(problem, "period", None), admits)
     cache = MemoryCachedProblem(problem)
     relaxed = multistart(
