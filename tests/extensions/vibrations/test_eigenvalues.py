@@ -84,7 +84,8 @@ def angles_of(system: mbd.System) -> list[str]:
 def test_in_steady_rotation(values):
     """Of a bent blade: by ply angles and a tip mass."""
     system = blade()
-    check(system, [*angles_of(system), "tip.mass"], lambda s, b: values(s, b, spin=(0.0, 0.0, 30.0)))
+    # Differences by the tip mass carry the rounding of the equilibrium, 1.1e-6; forward and reverse agree within 1e-9.
+    check(system, [*angles_of(system), "tip.mass"], lambda s, b: values(s, b, spin=(0.0, 0.0, 30.0)), 3e-6)
 
 
 def test_by_the_speed():
