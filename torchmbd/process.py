@@ -218,9 +218,8 @@ def available_memory() -> float:
         process_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:  # not Linux
         return installed_memory()
-    free = [
-        int(line.split()[1]) * 1024.0 for line in lines if line.startswith("MemAvailable:")
-    ]  # WSL 1 has no such line
+    # WSL 1 has no such line.
+    free = [int(line.split()[1]) * 1024.0 for line in lines if line.startswith("MemAvailable:")]
     return min([x + process_bytes for x in free] + [installed_memory()])
 
 

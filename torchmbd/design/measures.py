@@ -166,8 +166,8 @@ PEAK_NOTE = (
 class Max(OfHistory):
     """Largest value of a history [lanes], in its unit; eq. (18). A spline finds the peak between the output times.
 
-    Where two peaks are exactly equal, the gradient is the mean of both gradients. If rounding makes them differ, it is the
-    gradient of one of them. `AtPeaks` keeps both peaks.
+    If two peaks are exactly equal, the gradient is the mean of their two gradients. If they differ by rounding, the gradient
+    is that of the larger one. `AtPeaks` keeps both peaks.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(speed=1.0), 1.0, steps=40)
     >>> top = mbd.Max(mbd.Position("bob", "y"))
@@ -333,8 +333,7 @@ class Frequencies(Measure):
     supports  as in Frequency
 
     The mean is differentiable where frequencies of the cluster cross or coincide.
-    Where a frequency of the cluster coincides with a frequency outside, the gradient is only a subgradient, as for
-    `Frequency`.
+    If a frequency of the cluster is equal to a frequency outside it, the gradient is only a subgradient, as for `Frequency`.
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
     >>> low, high = (mbd.Frequency("arm", k)(motion) for k in (1, 2))

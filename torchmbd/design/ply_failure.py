@@ -23,6 +23,7 @@ from torch import Tensor
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown, warn
 from torchmbd.fem.materials import CRITERIA, PLY_COMPONENTS, Strength
+from torchmbd.fem.materials.strength import missing_strength
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.variable import number
@@ -59,13 +60,7 @@ class PlyFailure(History):
             raise unknown("criterion", self.criterion, CRITERIA)
         strengths = [ply.strength for ply in plies_of(system.body(self.body))]
         if any(strength is None for strength in strengths):
-            raise InputError(
-                "body",
-                self.body,
-                "Ply(..., strength=Strength(...))",
-                state="has no strength",
-                noun=f"a ply of body {self.body!r}",
-            )
+            raise missing_strength(self.body)
         if self.criterion == "interlaminar":
             _check_interlaminar(self.body, system.body(self.body), [s for s in strengths if s is not None])
 

@@ -24,6 +24,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, one_of
 from torchmbd.fem.elements import PlyBasis, held_ply_stress, ply_basis, ply_points
 from torchmbd.fem.materials import CRITERIA, MODES, PLY_COMPONENTS, FailureForms
+from torchmbd.fem.materials.strength import missing_strength
 from torchmbd.multibody.forces.temperature import Temperature
 
 if TYPE_CHECKING:
@@ -132,13 +133,7 @@ class PlyHistory:
     def _rule(self, criterion: str) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
         criterion = one_of("criterion", criterion, CRITERIA)
         if self.strength is None:
-            raise InputError(
-                "body",
-                self.name,
-                "Ply(..., strength=Strength(...))",
-                state="has no strength",
-                noun=f"a ply of body {self.name!r}",
-            )
+            raise missing_strength(self.name)
         return CRITERIA[criterion], self.strength
 
 

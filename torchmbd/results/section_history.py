@@ -29,6 +29,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.fem.elements import Beams
 from torchmbd.fem.materials import CRITERIA, FailureForms
+from torchmbd.fem.materials.strength import missing_strength
 from torchmbd.fem.sections import Section
 from torchmbd.multibody.forces.temperature import Temperature
 from torchmbd.results.ply_history import changes_of, of_plies, require_plies
@@ -185,13 +186,7 @@ class SectionHistory:
         self._section(key)
         strength = self._recovered[key].strength
         if strength is None:
-            raise InputError(
-                "body",
-                self.name,
-                "Ply(..., strength=Strength(...))",
-                state="has no strength",
-                noun=f"a ply of body {self.name!r}",
-            )
+            raise missing_strength(self.name)
         return strength
 
 

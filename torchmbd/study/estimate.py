@@ -51,7 +51,7 @@ from torchmbd.study.start_values import Value, print_start_values, start_values,
 from torchmbd.viz.figures import convergence, save
 from torchmbd.viz.panels import histories_of, panels_of
 
-_PER_ITERATION = 1.5  # analyses
+_PER_ITERATION = 1.7  # simulations: of the default method in 20 searches of `benchmark methods`
 _SHARES = (0.02, 0.06)  # of the motion that are measured
 _SINGLE, _KINDS, _AXES_OF_MAP = 3, 2, 4  # pictures of one kind of file, kinds of the others, axes of a map of failure
 _FEWEST = 4  # steps

@@ -24,14 +24,16 @@ V, GROUND = mbd.variable, mbd.Ground()
 Values = Callable[[mbd.System, dict[str, Tensor]], Tensor]
 
 
-def check(system: mbd.System, names: list[str], values: Values, rtol: float = 1e-6) -> None:
+def check(
+    system: mbd.System, names: list[str], values: Values, rtol: float = 1e-6, steps: dict[str, float] | None = None
+) -> None:
     """Of a number [lanes] of designs: .backward(), torch.func in both modes, and differences of high order."""
     start = {name: system.get_parameter(name).detach().clone() for name in names}
     x = {name: y[None].clone().requires_grad_() for name, y in start.items()}
     values(system, x).sum().backward()
     single = lambda b: values(system, {name: y[None] for name, y in b.items()})[0]  # noqa: E731
     forward, reverse = torch.func.jacfwd(single)(start), torch.func.jacrev(single)(start)
-    expected = differences(lambda b: values(system, b), system, names)
+    expected = differences(lambda b: values(system, b), system, names, steps)
     for name, y in x.items():
         assert y.grad is not None
         size = float(y.grad.abs().max())
@@ -84,8 +86,9 @@ def angles_of(system: mbd.System) -> list[str]:
 def test_in_steady_rotation(values):
     """Of a bent blade: by ply angles and a tip mass."""
     system = blade()
-    # Differences by the tip mass carry the rounding of the equilibrium, 1.1e-6; forward and reverse agree within 1e-9.
-    check(system, [*angles_of(system), "tip.mass"], lambda s, b: values(s, b, spin=(0.0, 0.0, 30.0)), 3e-6)
+    # By the mass the values carry the rounding of the equilibrium: differences err by 1e-6 with steps of 1e-3, 5e-8 with 1e-2.
+    steps = {"tip.mass": 1e-2}
+    check(system, [*angles_of(system), "tip.mass"], lambda s, b: values(s, b, spin=(0.0, 0.0, 30.0)), steps=steps)
 
 
 def test_by_the_speed():

@@ -14,7 +14,7 @@ from tests.refused import refused
 from torchmbd.multibody.bodies import body_memory, flexible
 
 LAMINATE = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
-WORDS = r"mesh of 'shell' has 492 freedoms: their modes take about \S+ MB of memory, 4 MB are available; allowed: up to (\d+)"
+WORDS = r"mesh of 'shell' has 492 degrees of freedom: their modes take about \S+ MB of memory, 4 MB are available; allowed: up to (\d+)"
 
 
 def shell(cells: int, curved: bool = True, modes: int = 2, **more: Any) -> mbd.FlexibleBody:
@@ -80,4 +80,4 @@ def test_a_deck_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     deck.write_text(model(cells=(40, 2)))
     with refused("wing.mesh") as caught:
         mbd.read_bdf(deck, "wing", modes=4)
-    assert "738 freedoms" in str(caught.value)
+    assert "738 degrees of freedom" in str(caught.value)

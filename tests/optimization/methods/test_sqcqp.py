@@ -1,5 +1,7 @@
 """SQCQP: what its models know, how many simulations the tube takes, and steps into designs that fail or violate a lot."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -99,3 +101,18 @@ def test_a_contradiction_is_infeasible():
     result = optimize(problem, "sqcqp", max_iterations=60)
     assert result.status == "infeasible"
     assert "constraints [0, 1] conflict" in result.message
+    assert "the models promise no lower violation" in result.message
+
+
+def test_a_wrong_gradient_is_said_to_break_the_promise():
+    """The gradient of the constraint has the wrong sign: every step raises the violation."""
+
+    class Reversed(Analytic):
+        def evaluate(self, X, gradients):
+            evaluations = super().evaluate(X, gradients)
+            return [replace(e, constraint_gradients=-e.constraint_gradients) for e in evaluations]
+
+    problem = Reversed("reversed", [3.0], lambda x: x[0] ** 2 + 1, lambda x: [1.0 - x[0] / 5.0], lower=-5, upper=9)
+    result = optimize(problem, "sqcqp")
+    assert result.status != "converged"
+    assert "no step, however short, does what the models promise" in result.message

@@ -40,7 +40,7 @@ class BucklingFactor(Measure):
               the peak of BucklingIndex
     supports  nodes -> degrees of freedom that are held, as "u1 u3", or imposed; None: the reference nodes
     number    1 is the lowest
-    Where factors coincide, the gradient is the mean of their gradients, as for `Frequency`.
+    If several factors are equal, the gradient is their mean gradient, as for `Frequency`.
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)

@@ -39,7 +39,7 @@ _SERIES: WeakKeyDictionary[nn.Module, dict[str, BucklingSeries]] = WeakKeyDictio
 class BucklingIndex(History):
     """Share of the critical load that a flexible body carries [lanes, times] [-]: 1 / buckling factor of its stress.
 
-    Zero if the stress only stiffens. Where indices coincide, the gradient is the mean of their gradients.
+    The index is zero if the stress only stiffens. If several indices are equal, the gradient is their mean gradient.
 
     body      its name; plates and beams
     supports  nodes -> degrees of freedom that are held while it buckles, as "u1 u3", in mesh axes; None: the reference nodes

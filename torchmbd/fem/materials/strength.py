@@ -166,3 +166,9 @@ class FailureForms:
         if self.criterion == "tsai_wu":
             return torch.cat([w, pairs], 1) @ torch.cat(self.forms, 1).mT
         return inverse_reserve_factor(w @ self.forms[0].mT, pairs @ self.forms[1].mT)
+
+
+def missing_strength(body: str) -> InputError:
+    """Build the error for a body of which a ply has no strength."""
+    allowed = "Ply(..., strength=Strength(...))"
+    return InputError("body", body, allowed, state="has no strength", noun=f"a ply of body {body!r}")

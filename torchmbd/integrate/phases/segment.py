@@ -266,33 +266,24 @@ def _joints_named(system: System, phase: str, joints: Sequence[Joint | str], arg
     return result
 
 
+def _wrong_lock(joint: Joint, released: Sequence[Joint]) -> tuple[str, str] | None:
+    """Return what is allowed in place of a lock that no system can have, and what is wrong with it."""
+    if joint in released:
+        return "one of them", f"both locks and releases {joint.name!r}"
+    if isinstance(joint, Drive):
+        return "release it, lock its joint", f"locks the drive {joint.name!r}"
+    if joint.joints:
+        return "lock one of its joints", f"locks the coupling {joint.name!r}"
+    return None
+
+
 def _check_locks(phase: str, system: System, locked: Sequence[Joint], released: Sequence[Joint]) -> None:
     """InputError for locks that do not go with the other joints of a phase."""
     for joint in locked:
-        if joint in released:
-            raise InputError(
-                ("phases", phase, "lock"),
-                joint.name,
-                "one of them",
-                state=f"both locks and releases {joint.name!r}",
-                noun=f"phase {phase!r}",
-            )
-        if isinstance(joint, Drive):
-            raise InputError(
-                ("phases", phase, "lock"),
-                joint.name,
-                "release it, lock its joint",
-                state=f"locks the drive {joint.name!r}",
-                noun=f"phase {phase!r}",
-            )
-        if joint.joints:
-            raise InputError(
-                ("phases", phase, "lock"),
-                joint.name,
-                "lock one of its joints",
-                state=f"locks the coupling {joint.name!r}",
-                noun=f"phase {phase!r}",
-            )
+        wrong = _wrong_lock(joint, released)
+        if wrong:
+            allowed, state = wrong
+            raise InputError(("phases", phase, "lock"), joint.name, allowed, state=state, noun=f"phase {phase!r}")
         bodies = {joint.a.body.name, joint.b.body.name}
         for drive in system.joints:
             driven = isinstance(drive, Drive) and {drive.a.body.name, drive.b.body.name} == bodies

@@ -63,7 +63,7 @@ def require_memory(name: str, nodes: int, parts: Iterable[Part], modes: Any, kep
         raise InputError((name, "interface"), allowed=allowed, state=f"has {kept} nodes: their shapes {sizes}")
     raise InputError(
         (name, "mesh"),
-        allowed=f"up to {rounded_down(int(6 * nodes * free / needed))} freedoms",
+        allowed=f"up to {rounded_down(int(6 * nodes * free / needed))} degrees of freedom",
         noun=f"mesh of {name!r}",
-        state=f"has {6 * nodes} freedoms: their modes {sizes}",
+        state=f"has {6 * nodes} degrees of freedom: their modes {sizes}",
     )

@@ -108,8 +108,8 @@ def _made(c: Condensation, components: int, index: tuple[int, ...] | None) -> _S
     source = [position[rows[i]] for i in places]
     of_body, n = {}, c.whole.bodies
     for body in (c.whole.names.index(body.name) for body in c.topology.prescribed_bodies):
-        own = [i for i, row in enumerate(rows) if row < components * n and row % n == body]
-        of_body[body] = _indices(own), _indices([rows[i] // n for i in own])
+        places_of_body = [i for i, row in enumerate(rows) if row < components * n and row % n == body]
+        of_body[body] = _indices(places_of_body), _indices([rows[i] // n for i in places_of_body])
     spread = c.topology.spread if components == 6 else None
     return _Selected(len(rows), _indices(places), _indices(source), spread and spread.select_rows(source), of_body)
 

@@ -51,8 +51,9 @@ class Chain:
     def at(
         self, node: str | int, axes: Sequence | Tensor | None = None, offset: Sequence[float] | Tensor = (0.0, 0.0, 0.0)
     ) -> Frame:
-        """Return a frame on a node of the whole line, as `FlexibleBody.at` does. Where two pieces meet, the frame is on the
-        first piece.
+        """Return a frame on a node of the whole line, as `FlexibleBody.at` does.
+
+        Two pieces share the node between them; its frame is on the first of the two.
         """
         nodes = node_indices(self.line, node)
         if len(nodes) != 1:

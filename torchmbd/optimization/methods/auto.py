@@ -28,10 +28,10 @@ def auto(search: Search, max_iterations: int, *, ftol: float = 1e-6, kkt: float 
     if search.size > FEW:
         return _named("slsqp", slsqp(search, max_iterations, ftol=ftol, kkt=kkt))
     first = _named("sqcqp", sqcqp(search, max_iterations, ftol=ftol, kkt=kkt))
-    left = max_iterations - (len(search.history) - 1)
-    if first.status != "stalled" or search.failures or left <= 0:
+    remaining = max_iterations - (len(search.history) - 1)
+    if first.status != "stalled" or search.failures or remaining <= 0:
         return first
-    second = _named("slsqp", slsqp(search, left, ftol=ftol, kkt=kkt))
+    second = _named("slsqp", slsqp(search, remaining, ftol=ftol, kkt=kkt))
     reached, other = search.evaluate(first.y), search.evaluate(second.y)
     margin = EQUAL * max(abs(reached.objective), SMALLEST_OBJECTIVE)
     if search.rank(replace(reached, objective=reached.objective + margin)) < search.rank(other):

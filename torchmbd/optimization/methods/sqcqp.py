@@ -61,7 +61,8 @@ def sqcqp(search: Search, max_iterations: int, *, ftol: float = 1e-6, kkt: float
 class Models:
     """Quadratic models of the objective (row 0) and the constraints, an equality as two rows, around a design.
 
-    values [m] and gradients [m, n] at the design, in the steps d [n]; second derivatives as sums of rank-one terms.
+    values [m] and gradients [m, n] at the design, in the steps d [n]; second derivatives as sums of rank-one terms. SciPy's SR1
+    is one dense matrix for one function, and the identity for a linear function, whose gradient never changes.
     """
 
     def __init__(self, values: np.ndarray, gradients: np.ndarray) -> None:
@@ -172,15 +173,15 @@ def _step(
 ) -> tuple[np.ndarray, float]:
     """Return the step d [n] of the model problem, and rho, raised as long as the largest one leaves less violation."""
     d = _solve(models, low, high, penalty)
-    left = _violation(models.at(d))
+    ahead = _violation(models.at(d))
     enough = max(feasibility, ENOUGH * _violation(models.values))
-    if left <= enough:
+    if ahead <= enough:
         return d, penalty
     least = _violation(models.at(_solve(models, low, high, MOST_PENALTY)))
-    while left > enough and least < LESS * left and penalty < MOST_PENALTY:
+    while ahead > enough and least < LESS * ahead and penalty < MOST_PENALTY:
         penalty *= 10.0
         d = _solve(models, low, high, penalty)
-        left = _violation(models.at(d))
+        ahead = _violation(models.at(d))
     return d, penalty
 
 
