@@ -14,7 +14,10 @@ from tests.refused import refused
 from torchmbd.multibody.bodies import body_memory, flexible
 
 LAMINATE = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
-WORDS = r"mesh of 'shell' has 492 degrees of freedom: their modes take about \S+ MB of memory, 4 MB are available; allowed: up to (\d+)"
+WORDS = (
+    r"mesh of 'shell' has 492 degrees of freedom: their modes take about \S+ MB of memory, 4 MB are available; "
+    r"allowed: up to (\d+)"
+)
 
 
 def shell(cells: int, curved: bool = True, modes: int = 2, **more: Any) -> mbd.FlexibleBody:
