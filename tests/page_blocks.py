@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from experiments.documentation.blocks import FENCE, runnable
 from torchmbd import cli
-from torchmbd.study.load import load
+from torchmbd.study.file.load import load
 
 
 class Block(NamedTuple):

@@ -107,7 +107,7 @@ def test_an_interruption_outside_of_the_search_is_said(folder, monkeypatch, caps
     def interrupted(*given, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("torchmbd.study.load.load", interrupted)
+    monkeypatch.setattr("torchmbd.study.file.load.load", interrupted)
     assert cli.main([command, "study.yaml"]) == 130
     assert says in capsys.readouterr().err
 

@@ -12,7 +12,7 @@ import torch
 import torchmbd as mbd
 from torchmbd.design.response_spec import SpecError, measure_of
 from torchmbd.errors import InputError, unknown
-from torchmbd.study.file_errors import Fault, StudyError
+from torchmbd.study.file.faults import Fault, StudyError
 
 any_: Any = mbd
 ARM = mbd.examples.arm()

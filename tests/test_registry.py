@@ -17,8 +17,8 @@ from torchmbd.design.response_spec import measure_of
 from torchmbd.errors import InputError
 from torchmbd.integrate.backend import BACKENDS
 from torchmbd.math.products import PRODUCTS
-from torchmbd.study.kind import Kind
-from torchmbd.study.load import KINDS
+from torchmbd.study.file.kind import Kind
+from torchmbd.study.file.load import KINDS
 
 FOLDER = Path(mbd.__file__ or "").parent / "extensions"
 

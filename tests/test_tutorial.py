@@ -66,7 +66,7 @@ def test_what_is_said_of_errors_is_what_is_seen(folder, capsys, old, new):
 def test_commands(folder, capsys):
     lines = commands(PAGE)
     assert [line[0] for line in lines] == ["check", "run", "best", "report", "ui"]
-    for command in lines[:-1]:  # the last one serves until Ctrl-C: tests/study/test_browser.py
+    for command in lines[:-1]:  # the last one serves until Ctrl-C: tests/study/report/test_browser.py
         assert cli.main(command + (COARSE if command[0] in ("check", "run") else [])) == 0
     assert (folder / "overshoot.html").exists()
     study = mbd.load("overshoot", model="arm.py")

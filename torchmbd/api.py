@@ -111,7 +111,7 @@ from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory
 
 if TYPE_CHECKING:
-    from torchmbd.study.stored_run import LoadedStudy
+    from torchmbd.study.record.stored_run import LoadedStudy
     from torchmbd.study.study import Study
 
 
@@ -125,7 +125,7 @@ def __getattr__(name: str) -> Any:
 
 
 def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Path] = ()) -> LoadedStudy:
-    """Load a study of the tracking store: system, best design, motion; see torchmbd.study.stored_run.
+    """Load a study of the tracking store: system, best design, motion; see torchmbd.study.record.stored_run.
 
     run    run id, its beginning, or the name of a study (its latest run)
     uri    the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
@@ -136,7 +136,7 @@ def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Pa
     >>> study.x.shape, study.value > 0.0, study.motion.status
     ((2,), True, ['ok'])
     """
-    from torchmbd.study.stored_run import load_run  # imports pydantic, rich and figures
+    from torchmbd.study.record.stored_run import load_run  # imports pydantic, rich and figures
 
     return load_run(run, uri, model)
 
@@ -154,7 +154,7 @@ def problem_of(file: str | Path, *assignments: str) -> Problem:
     >>> problem.names
     ['arm.laminate.angles[0]', 'arm.laminate.angles[1]']
     """
-    from torchmbd.study.load import load_study
+    from torchmbd.study.file.load import load_study
 
     return load_study(file, assignments).simulated
 

@@ -58,8 +58,8 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     """
     with imports():
         use_one_thread()
-        from torchmbd.study.load import load
-        from torchmbd.study.overrides import combinations
+        from torchmbd.study.file.load import load
+        from torchmbd.study.file.overrides import combinations
 
     console = Console()
     experiments = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
@@ -86,8 +86,8 @@ def check(file: Path, /, *assignments: str) -> int:
     """
     with imports():
         use_one_thread()
-        from torchmbd.study.load import load
-        from torchmbd.study.overrides import combinations
+        from torchmbd.study.file.load import load
+        from torchmbd.study.file.overrides import combinations
 
     console = Console()
     return max(kind.check(x, console) for kind, x in [load(file, chosen) for chosen in combinations(assignments)])
@@ -104,7 +104,7 @@ def new(file: Path, /, *, model: str | None = None) -> int:
     model
         Your model, path/to/file.py:function or package.module:function; default: an example beside the file.
     """
-    from torchmbd.study.scaffold import write_experiment
+    from torchmbd.study.file.scaffold import write_experiment
 
     for written in write_experiment(file, model):
         print(f"wrote {written}")
@@ -115,7 +115,7 @@ def new(file: Path, /, *, model: str | None = None) -> int:
 @app.command
 def schema() -> int:
     """Print the JSON schema of experiment files, for editors."""
-    from torchmbd.study.json_schema import json_schema
+    from torchmbd.study.file.json_schema import json_schema
 
     print(json.dumps(json_schema(), indent=1))
     return 0
@@ -132,7 +132,7 @@ def best(run: str | None = None, /, *, count: int = 5, uri: Uri = None) -> int:
     count
         How many.
     """
-    from torchmbd.study.compare import print_best
+    from torchmbd.study.report.compare import print_best
 
     print_best(run, uri, count, Console())
     return 0
@@ -149,7 +149,7 @@ def compare(a: str, b: str, /, *, uri: Uri = None) -> int:
     b
         The other one.
     """
-    from torchmbd.study.compare import print_comparison
+    from torchmbd.study.report.compare import print_comparison
 
     print_comparison(a, b, uri, Console())
     return 0
@@ -166,7 +166,7 @@ def report(run: str, /, *, output: Path | None = None, uri: Uri = None) -> int:
     output
         Name of the file; default: the study's name and run id.
     """
-    from torchmbd.study.html_report import write_report
+    from torchmbd.study.report.html import write_report
 
     print(f"wrote {write_report(run, output, uri)}")
     return 0
@@ -181,7 +181,7 @@ def list_(folder: Path | None = None, *, uri: Uri = None) -> int:
     folder
         Where the experiment files are; default: configs, else this folder.
     """
-    from torchmbd.study.listing import print_configs, print_studies
+    from torchmbd.study.report.listing import print_configs, print_studies
 
     if folder is not None and not folder.is_dir():
         raise InputError(
@@ -234,7 +234,7 @@ def ui(
     port
         Port to listen on.
     """
-    from torchmbd.study.listing import print_links
+    from torchmbd.study.report.listing import print_links
     from torchmbd.tracking.server import serving
     from torchmbd.tracking.store import store_uri
 
@@ -269,7 +269,7 @@ def sync() -> int:
     """
     with imports():
         use_one_thread()
-        from torchmbd.study.sync import send_unsent
+        from torchmbd.study.record.sync import send_unsent
 
     return min(send_unsent(Console()), 1)
 

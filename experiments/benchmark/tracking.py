@@ -39,9 +39,9 @@ from torchmbd.optimization.multistart.workers import LANES, Workers
 from torchmbd.optimization.optimizer import Iterate
 from torchmbd.process import use_one_thread
 from torchmbd.study.dask_evaluator import study_workers
-from torchmbd.study.journal import Journal
-from torchmbd.study.load import load_study
-from torchmbd.study.paths import problem_key
+from torchmbd.study.file.load import load_study
+from torchmbd.study.record.journal import Journal
+from torchmbd.study.record.paths import problem_key
 from torchmbd.study.run import run_study
 from torchmbd.tracking import MlflowTracker, Record
 from torchmbd.tracking.links import view_link

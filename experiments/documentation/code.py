@@ -52,9 +52,9 @@ class Stage(NamedTuple):
 PATH = (
     Stage(
         ("Experiment file", "Tracker"),
-        (("cli.py", "run"), ("study/load.py", "load"), ("study/model.py", "find_model")),
+        (("cli.py", "run"), ("study/file/load.py", "load"), ("study/file/model.py", "find_model")),
         "System, bounds, starts",
-        (("study/journal.py", "Journal"), ("tracking/mlflow_tracker.py", "MlflowTracker")),
+        (("study/record/journal.py", "Journal"), ("tracking/mlflow_tracker.py", "MlflowTracker")),
         "",
     ),
     Stage(

@@ -20,8 +20,8 @@ from unittest.mock import patch
 
 import torchmbd as mbd
 from torchmbd.registry import public_names
-from torchmbd.study.json_schema import json_schema
-from torchmbd.study.scaffold import write_experiment
+from torchmbd.study.file.json_schema import json_schema
+from torchmbd.study.file.scaffold import write_experiment
 
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, str] = {

@@ -27,7 +27,7 @@ from experiments.documentation import recorded
 from experiments.paper.part import Finding, Row
 from experiments.paper.parts import chosen, run
 from experiments.paper.report import number_text
-from torchmbd.study.paths import studies_folder
+from torchmbd.study.record.paths import studies_folder
 
 FOLDER = Path(__file__).parents[2] / "docs" / "validation"
 ELSEWHERE = (FOLDER.parent / "reference" / "optimization.md",)  # a page of another folder with recorded outputs

@@ -12,7 +12,7 @@ import torch
 
 from experiments.paper import report
 from experiments.paper.parts import PARTS, chosen, run
-from torchmbd.study.paths import studies_folder
+from torchmbd.study.record.paths import studies_folder
 
 
 def main() -> None:

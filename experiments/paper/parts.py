@@ -13,7 +13,7 @@ from pathlib import Path
 from experiments.paper import antenna, antenna_deployed, report, rod
 from experiments.paper.part import Finding, Part, find
 from torchmbd.errors import unknown
-from torchmbd.study.paths import studies_folder
+from torchmbd.study.record.paths import studies_folder
 
 LONG = 10.0  # minutes
 PARTS: tuple[Part, ...] = (*rod.PARTS, *antenna.PARTS, *antenna_deployed.PARTS)

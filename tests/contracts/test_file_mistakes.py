@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from torchmbd.study.file_errors import StudyError
-from torchmbd.study.load import load
+from torchmbd.study.file.faults import StudyError
+from torchmbd.study.file.load import load
 
 STUDY = Path(__file__).parents[1] / "study"
 TEXT = (STUDY / "study.yaml").read_text()

@@ -20,8 +20,8 @@ import torch
 
 import torchmbd as mbd
 from torchmbd.errors import argument_names
-from torchmbd.study import paths
-from torchmbd.study.paths import problem_key, study_key
+from torchmbd.study.record import paths
+from torchmbd.study.record.paths import problem_key, study_key
 
 PACKAGE = Path(mbd.__file__).parent
 NAME, THICKNESS = "arm.laminate.angles", "arm.laminate.thickness"

@@ -214,7 +214,7 @@ def test_stages_are_those_of_the_innermost_function_that_has_one():
     library = "/x/torchmbd"
     assert at(f"{library}/fem/shift.py:solve", f"{library}/multibody/system/system.py:stages") == "structure"
     assert at("/x/torch/_ops.py:call", f"{library}/extensions/native/steps.py:run", "scipy/a.py:b") == "steps"
-    assert at(f"{library}/integrate/simulate.py:f", f"{library}/study/report.py:save_pictures") == "pictures"
+    assert at(f"{library}/integrate/simulate.py:f", f"{library}/study/report/terminal.py:save_pictures") == "pictures"
     assert at("<frozen importlib._bootstrap>:_load", f"{library}/integrate/registry.py:f") == "imports"
     assert at("/x/torch/autograd/__init__.py:grad", f"{library}/design/differentiate.py:f") == stages.BACKWARD
     assert at("/x/rich/console.py:print") == "other"

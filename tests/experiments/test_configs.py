@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from torchmbd.study.config_index import QUESTION_MISSING, configs
-from torchmbd.study.load import STUDY, load, load_study
+from torchmbd.study.file.config_index import QUESTION_MISSING, configs
+from torchmbd.study.file.load import STUDY, load, load_study
+from torchmbd.study.file.yaml_file import read_yaml
 from torchmbd.study.run import UNVERIFIED, run_study
-from torchmbd.study.yaml_file import read_yaml
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 

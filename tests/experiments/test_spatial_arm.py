@@ -15,7 +15,7 @@ from rich.console import Console
 
 import torchmbd as mbd
 from experiments.models.spatial_arm import END, PAYLOADS, build, problem
-from torchmbd.study.load import load_study
+from torchmbd.study.file.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store

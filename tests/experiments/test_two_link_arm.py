@@ -14,7 +14,7 @@ from rich.console import Console
 import torchmbd as mbd
 from torchmbd.design import Angle
 from torchmbd.examples.two_link_arm import build, phases
-from torchmbd.study.load import load_study
+from torchmbd.study.file.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store

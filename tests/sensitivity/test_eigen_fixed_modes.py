@@ -11,7 +11,7 @@ from torch.func import functional_call, jvp
 import torchmbd as mbd
 from tests.mechanisms import laminate, plate
 from torchmbd.fem.reduction import CraigBampton, VibrationModes
-from torchmbd.study.load import load_study
+from torchmbd.study.file.load import load_study
 
 ANGLES = mbd.deg([20.0, -50.0, 75.0])
 DIRECTION = torch.tensor([0.7, -0.4, 1.0], dtype=torch.float64)

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from rich.console import Console
 
-from torchmbd.study.load import load_study
+from torchmbd.study.file.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store

@@ -24,10 +24,10 @@ from torchmbd import cli
 from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.study.cluster import load_cluster
 from torchmbd.study.dask_evaluator import study_workers
-from torchmbd.study.file_errors import StudyError
-from torchmbd.study.load import load_study
+from torchmbd.study.file.faults import StudyError
+from torchmbd.study.file.load import load_study
+from torchmbd.study.record.unfinished import StudyState, unsent
 from torchmbd.study.run import UNVERIFIED
-from torchmbd.study.unfinished import StudyState, unsent
 
 SHIPPED = Path(__file__).parents[2] / "docs/how-to/cluster"
 SMALL = {"time": "00:10:00", "workers_per_job": 2, "memory_per_worker": "1 GB", "interface": "lo"}

@@ -21,8 +21,8 @@ from torchmbd.errors import InputError, MbdError
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.multistart.workers import WorkerBatch, evaluate_piece
 from torchmbd.study.dask_evaluator import study_workers
-from torchmbd.study.load import load_study
-from torchmbd.study.paths import problem_key
+from torchmbd.study.file.load import load_study
+from torchmbd.study.record.paths import problem_key
 from torchmbd.tracking.store import open_store
 
 SHORT = {"duration": 0.002, "steps": 8}

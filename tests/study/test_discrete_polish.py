@@ -11,8 +11,8 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
-from torchmbd.study.file_errors import StudyError
-from torchmbd.study.load import load_study
+from torchmbd.study.file.faults import StudyError
+from torchmbd.study.file.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store

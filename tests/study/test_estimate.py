@@ -12,7 +12,7 @@ from rich.console import Console
 import torchmbd as mbd
 from torchmbd.integrate import Simulation
 from torchmbd.study.estimate import estimate, print_estimate
-from torchmbd.study.load import load_study
+from torchmbd.study.file.load import load_study
 
 simulate = Simulation.__call__
 

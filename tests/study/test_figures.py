@@ -12,9 +12,9 @@ from rich.console import Console
 
 from torchmbd.errors import MbdError
 from torchmbd.study.figures import FiguresPlan, figures_key, run_figures
-from torchmbd.study.file_errors import StudyError
-from torchmbd.study.load import load, load_study
-from torchmbd.study.unfinished import claim_study
+from torchmbd.study.file.faults import StudyError
+from torchmbd.study.file.load import load, load_study
+from torchmbd.study.record.unfinished import claim_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
-from torchmbd.study.load import load_study
+from torchmbd.study.file.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.catalog import find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker

@@ -14,7 +14,7 @@ import yaml
 from rich.console import Console
 
 from torchmbd.errors import SimulationFailure
-from torchmbd.study.load import load_study as load
+from torchmbd.study.file.load import load_study as load
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store

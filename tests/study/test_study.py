@@ -20,12 +20,12 @@ from tests.optimization.analytic import Analytic
 from tests.refused import refused
 from tests.study.rod_model import build
 from torchmbd.optimization import Evaluation
-from torchmbd.study.compare import print_best
 from torchmbd.study.estimate import print_estimate
-from torchmbd.study.evaluations import Evaluations
-from torchmbd.study.html_report import write_report
-from torchmbd.study.listing import study_links
-from torchmbd.study.paths import evaluations_file, problem_key
+from torchmbd.study.record.evaluations import Evaluations
+from torchmbd.study.record.paths import evaluations_file, problem_key
+from torchmbd.study.report.compare import print_best
+from torchmbd.study.report.html import write_report
+from torchmbd.study.report.listing import study_links
 from torchmbd.tracking.catalog import children, find
 
 pytestmark = pytest.mark.usefixtures("compiled")

@@ -12,8 +12,8 @@ from rich.console import Console
 import torchmbd as mbd
 from tests.study.conftest import VALID
 from torchmbd.study.estimate import estimate, print_estimate
-from torchmbd.study.file_errors import StudyError
-from torchmbd.study.load import load_study
+from torchmbd.study.file.faults import StudyError
+from torchmbd.study.file.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store

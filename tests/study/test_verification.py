@@ -12,10 +12,10 @@ import pytest
 from rich.console import Console
 
 from torchmbd.cli import EXIT_UNVERIFIED, main
-from torchmbd.study.compare import print_best, print_comparison
-from torchmbd.study.html_report import write_report
-from torchmbd.study.listing import print_studies
-from torchmbd.study.load import load_study
+from torchmbd.study.file.load import load_study
+from torchmbd.study.report.compare import print_best, print_comparison
+from torchmbd.study.report.html import write_report
+from torchmbd.study.report.listing import print_studies
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.catalog import find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker

@@ -12,8 +12,8 @@ import time
 import pytest
 from rich.console import Console
 
-from torchmbd.study.compare import print_comparison
-from torchmbd.study.listing import print_links, print_studies
+from torchmbd.study.report.compare import print_comparison
+from torchmbd.study.report.listing import print_links, print_studies
 from torchmbd.tracking import MlflowTracker
 from torchmbd.tracking.catalog import studies
 from torchmbd.tracking.run_process import has_ended, process_tag

@@ -293,7 +293,7 @@ def test_the_default_store(monkeypatch, tmp_path):
 UMLAUT = """
 import os, sys
 from torchmbd.process import file_of
-from torchmbd.study.model import find_function
+from torchmbd.study.file.model import find_function
 from torchmbd.tracking import MlflowTracker
 assert sys.getfilesystemencoding() == "ascii", sys.getfilesystemencoding()
 folder, name = os.getcwdb(), "gr\\u00f6\\u00dfe"

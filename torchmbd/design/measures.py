@@ -159,7 +159,7 @@ class RMS(OfHistory):
 
 PEAK_NOTE = (
     "the error assumes that the same peak stays the largest; "
-    "where another peak takes over in the finer motion, it is the difference of the two motions"
+    "if another peak becomes the largest in the finer motion, the error is the difference of the two motions"
 )
 
 

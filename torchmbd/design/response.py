@@ -164,7 +164,9 @@ class Measure(ConstantArguments):
 
     rows: int = 1
     error_note: ClassVar[str] = ""  # what an estimate of its error by the steps is worth
-    drawing: ClassVar[str] = ""  # pictures of such measures in a report, by their name in DRAWINGS of study/report.py
+    drawing: ClassVar[str] = (
+        ""  # pictures of such measures in a report, by their name in DRAWINGS of study/report/terminal.py
+    )
 
     def value(self, motion: Trajectory) -> Tensor:
         """Value [lanes], or [lanes, rows]: a differentiable function of the motion."""

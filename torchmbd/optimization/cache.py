@@ -1,7 +1,7 @@
 """A problem whose evaluations are stored: no design is evaluated twice.
 
-A store is in memory (MemoryStore), or on disk (torchmbd/study/evaluations.py).
-Checked in tests/optimization/test_cache.py, tests/study/test_evaluations.py.
+A store is in memory (MemoryStore), or on disk (torchmbd/study/record/evaluations.py).
+Checked in tests/optimization/test_cache.py, tests/study/record/test_evaluations.py.
 """
 
 from __future__ import annotations

@@ -29,11 +29,11 @@ from pydantic import Field, PositiveInt
 
 from torchmbd.errors import InputError, nearest
 from torchmbd.process import worker_threads
-from torchmbd.study.file_errors import Fault, StudyError, located
-from torchmbd.study.paths import make_studies_folder
-from torchmbd.study.schema import Section
-from torchmbd.study.validation import validate
-from torchmbd.study.yaml_file import read_yaml
+from torchmbd.study.file.faults import Fault, StudyError, located
+from torchmbd.study.file.schema import Section
+from torchmbd.study.file.validation import validate
+from torchmbd.study.file.yaml_file import read_yaml
+from torchmbd.study.record.paths import make_studies_folder
 
 Word = Annotated[str, Field(pattern=r"^[\w.:/=+-]+$")]
 _LOOPBACK = "127.0.0.1:0"  # at any free port

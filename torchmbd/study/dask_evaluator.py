@@ -15,11 +15,11 @@ from typing import Any
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.optimization.multistart.workers import Workers, pickle_problem, unpickle_problem
-from torchmbd.study.assemble import study_of
 from torchmbd.study.cluster import load_cluster
-from torchmbd.study.model import build_model, find_model, forget_files
-from torchmbd.study.paths import problem_key
-from torchmbd.study.schema import StudyFile
+from torchmbd.study.file.assemble import study_of
+from torchmbd.study.file.model import build_model, find_model, forget_files
+from torchmbd.study.file.schema import StudyFile
+from torchmbd.study.record.paths import problem_key
 from torchmbd.study.settings import StudySettings
 
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://\S+:\d+")

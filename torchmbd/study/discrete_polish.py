@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.optimization import DiscreteResult, MultistartResult, optimize_discrete
-from torchmbd.study.journal import Journal, percent
+from torchmbd.study.record.journal import Journal, percent
 from torchmbd.study.settings import StudySettings
 
 

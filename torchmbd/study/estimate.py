@@ -43,11 +43,11 @@ from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.optimization.pareto import group_sizes
 from torchmbd.progress import begin_stage, stages_told
 from torchmbd.results.answer import LIMIT
-from torchmbd.study.evaluations import Evaluations
-from torchmbd.study.paths import evaluations_file, problem_key
-from torchmbd.study.progress import Beginning
+from torchmbd.study.record.evaluations import Evaluations
+from torchmbd.study.record.paths import evaluations_file, problem_key
+from torchmbd.study.report.progress import Beginning
+from torchmbd.study.report.start_values import Value, print_start_values, start_values, worst_share
 from torchmbd.study.settings import StudySettings
-from torchmbd.study.start_values import Value, print_start_values, start_values, worst_share
 from torchmbd.viz.figures import convergence, save
 from torchmbd.viz.panels import histories_of, panels_of
 

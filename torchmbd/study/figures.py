@@ -20,14 +20,14 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.errors import InputError, MbdError
-from torchmbd.study.file_errors import Fault
-from torchmbd.study.kind import Kind, Source
-from torchmbd.study.model import find_function, option_faults, require_returns
-from torchmbd.study.paths import file_key
-from torchmbd.study.run_record import RunRecord
-from torchmbd.study.runs import PARENT, Runs
-from torchmbd.study.schema import FUNCTION, Tracking
-from torchmbd.study.section import Section
+from torchmbd.study.file.faults import Fault
+from torchmbd.study.file.kind import Kind, Source
+from torchmbd.study.file.model import find_function, option_faults, require_returns
+from torchmbd.study.file.schema import FUNCTION, Tracking
+from torchmbd.study.file.section import Section
+from torchmbd.study.record.paths import file_key
+from torchmbd.study.record.run_record import RunRecord
+from torchmbd.study.record.runs import PARENT, Runs
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.uri import StoreURI
 

@@ -14,10 +14,10 @@ from rich.markup import escape
 from torchmbd.errors import InputError
 from torchmbd.optimization import Front
 from torchmbd.optimization.pareto import pareto_front
-from torchmbd.study.journal import Journal
-from torchmbd.study.progress import SearchCounter, print_table, shown_rows, table_of
-from torchmbd.study.report import missing_picture_reported, save_figure
-from torchmbd.study.runs import child
+from torchmbd.study.record.journal import Journal
+from torchmbd.study.record.runs import child
+from torchmbd.study.report.progress import SearchCounter, print_table, shown_rows, table_of
+from torchmbd.study.report.terminal import missing_picture_reported, save_figure
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 

@@ -2,7 +2,7 @@
 
 Runs end with the status FINISHED, KILLED (Ctrl-C, with the results so far) or FAILED (an exception, or no start succeeded).
 Results are tracked before pictures are drawn, so that an error in a picture loses no result. Every evaluation is on disk
-before it is returned (evaluations.py): the same command continues a study, however it ended (unfinished.py).
+before it is returned (record/evaluations.py): the same command continues a study, however it ended (record/unfinished.py).
 Checked in tests/study/test_run.py, test_resume.py.
 """
 
@@ -32,17 +32,17 @@ from torchmbd.progress import stages_told
 from torchmbd.results.answer import Verification
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.discrete_polish import search_on_steps
-from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.front import run_front
-from torchmbd.study.journal import Journal
-from torchmbd.study.metric_names import CONVERGED, STARTS, constraint_names, without_group
-from torchmbd.study.paths import evaluations_file, problem_key, study_key
-from torchmbd.study.progress import Beginning, Progress
-from torchmbd.study.report import active_text, print_results, save_pictures
-from torchmbd.study.run_record import UNVERIFIED, RunRecord
+from torchmbd.study.record.evaluations import Evaluations
+from torchmbd.study.record.journal import Journal
+from torchmbd.study.record.metric_names import CONVERGED, STARTS, constraint_names, without_group
+from torchmbd.study.record.paths import evaluations_file, problem_key, study_key
+from torchmbd.study.record.run_record import UNVERIFIED, RunRecord
+from torchmbd.study.record.unfinished import StudyState
+from torchmbd.study.report.progress import Beginning, Progress
+from torchmbd.study.report.terminal import active_text, print_results, save_pictures
 from torchmbd.study.settings import Outcome, StudySettings
 from torchmbd.study.sweep import run_sweep
-from torchmbd.study.unfinished import StudyState
 from torchmbd.study.verify import verify_best
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import ACTIVE, SEARCH_TEXT

@@ -37,8 +37,8 @@ from torchmbd.optimization.optimizer import (
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.optimization.search import TIMES
 from torchmbd.results.answer import Verification
-from torchmbd.study.columns import Columns
-from torchmbd.study.schema import NAME, UNITS, StudyFile
+from torchmbd.study.file.schema import NAME, UNITS, StudyFile
+from torchmbd.study.report.columns import Columns
 from torchmbd.summary import Summary
 from torchmbd.tracking.store import checked_uri
 from torchmbd.tracking.uri import StoreURI

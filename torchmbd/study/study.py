@@ -20,8 +20,8 @@ from rich.console import Console
 from torchmbd.errors import InputError
 from torchmbd.results.answer import Verification
 from torchmbd.study.estimate import Estimate, print_estimate
-from torchmbd.study.html_report import write_report
-from torchmbd.study.load import load_study
+from torchmbd.study.file.load import load_study
+from torchmbd.study.report.html import write_report
 from torchmbd.study.run import run_study
 from torchmbd.study.settings import Outcome, StudySettings
 

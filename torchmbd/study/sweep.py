@@ -21,11 +21,11 @@ from torchmbd.design.problem_parts import responses_of
 from torchmbd.design.words import words
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.optimizer import largest_violation, rank
-from torchmbd.study.journal import Journal, percent
-from torchmbd.study.metric_names import gain_metric
-from torchmbd.study.progress import drop_order, print_table, shown_rows, table_of
-from torchmbd.study.report import missing_picture_reported, save_figure
-from torchmbd.study.runs import child
+from torchmbd.study.record.journal import Journal, percent
+from torchmbd.study.record.metric_names import gain_metric
+from torchmbd.study.record.runs import child
+from torchmbd.study.report.progress import drop_order, print_table, shown_rows, table_of
+from torchmbd.study.report.terminal import missing_picture_reported, save_figure
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 from torchmbd.viz import criterion

@@ -16,8 +16,8 @@ from torchmbd.optimization import MultistartResult, RobustProblem
 from torchmbd.optimization.cache import CachedProblem
 from torchmbd.progress import begin_stage
 from torchmbd.results.answer import Verification
-from torchmbd.study.answers import print_answers
-from torchmbd.study.journal import Journal
+from torchmbd.study.record.journal import Journal
+from torchmbd.study.report.answers import print_answers
 from torchmbd.study.settings import StudySettings
 
 

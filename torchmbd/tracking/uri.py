@@ -6,7 +6,7 @@
     hidden(text)                                    any text, the user part of every URI in it hidden
 
 A query is hidden, too: databases take passwords there.
-Checked in tests/tracking/test_uri.py, tests/study/test_credentials.py.
+Checked in tests/tracking/test_uri.py, tests/study/record/test_credentials.py.
 """
 
 from __future__ import annotations

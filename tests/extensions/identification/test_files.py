@@ -21,8 +21,8 @@ from torchmbd.errors import InputError
 from torchmbd.extensions.identification.fit_problem import FitProblem
 from torchmbd.extensions.identification.plan import IdentificationPlan
 from torchmbd.extensions.identification.tracked_fit import run_identification
-from torchmbd.study.html_report import write_report
-from torchmbd.study.load import load
+from torchmbd.study.file.load import load
+from torchmbd.study.report.html import write_report
 
 pytestmark = pytest.mark.thorough
 

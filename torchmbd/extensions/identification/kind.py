@@ -1,4 +1,4 @@
-"""The kind of experiment files that fit a model to measurements; see torchmbd/study/kind.py.
+"""The kind of experiment files that fit a model to measurements; see torchmbd/study/file/kind.py.
 
 Checked in tests/extensions/identification/test_files.py.
 """
@@ -36,8 +36,8 @@ from torchmbd.extensions.identification.tracked_fit import (
     start_predictions,
 )
 from torchmbd.extensions.vibrations.ports_by_name import NamedPort
-from torchmbd.study.kind import Kind
-from torchmbd.study.progress import print_table, table_of
+from torchmbd.study.file.kind import Kind
+from torchmbd.study.report.progress import print_table, table_of
 
 
 def _check(plan: IdentificationPlan, console: Console) -> int:

@@ -38,14 +38,14 @@ from torchmbd.extensions.vibrations.ports_by_name import NamedPort
 from torchmbd.math import units
 from torchmbd.math.variable import variable
 from torchmbd.multibody.system import System
-from torchmbd.study.assemble import in_si, links_in_si, starts_of
-from torchmbd.study.check import Faults, built_system, motion_faults
-from torchmbd.study.file_errors import Fault
-from torchmbd.study.kind import Source
-from torchmbd.study.model import build_model, find_model, find_phases, find_response, option_faults
-from torchmbd.study.parameter_values import set_parameters
-from torchmbd.study.scenario_keys import si_of
-from torchmbd.study.schema import UNITS, Motion
+from torchmbd.study.file.assemble import in_si, links_in_si, starts_of
+from torchmbd.study.file.check import Faults, built_system, motion_faults
+from torchmbd.study.file.faults import Fault
+from torchmbd.study.file.kind import Source
+from torchmbd.study.file.model import build_model, find_model, find_phases, find_response, option_faults
+from torchmbd.study.file.parameter_values import set_parameters
+from torchmbd.study.file.scenario_keys import si_of
+from torchmbd.study.file.schema import UNITS, Motion
 from torchmbd.tracking.uri import StoreURI
 
 _SENSOR_UNITS = {"delay": "s", "gain": ""}  # of an offset: that of the response

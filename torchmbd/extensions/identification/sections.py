@@ -18,9 +18,9 @@ from torchmbd.extensions.identification.least_squares import TOLERANCE
 from torchmbd.extensions.identification.losses import LOSSES
 from torchmbd.extensions.identification.registry import MEASUREMENTS
 from torchmbd.extensions.vibrations.frequency_response import QUANTITIES
-from torchmbd.study.scenario_keys import Settings
-from torchmbd.study.schema import FUNCTION, Bounded, Motion, Starts, Tracking, units_fit
-from torchmbd.study.section import NameOf, Numbers, Section, Unit, beside, fault
+from torchmbd.study.file.scenario_keys import Settings
+from torchmbd.study.file.schema import FUNCTION, Bounded, Motion, Starts, Tracking, units_fit
+from torchmbd.study.file.section import NameOf, Numbers, Section, Unit, beside, fault
 
 _OF_CHANNEL = ("column", "unit", "deviation", "delay", "gain", "offset")
 

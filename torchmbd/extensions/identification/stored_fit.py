@@ -20,7 +20,7 @@ from torchmbd.extensions.identification.fit_problem import FitProblem, Residuals
 from torchmbd.math.digest import digest
 from torchmbd.optimization import Evaluation
 from torchmbd.results.motion_data import OK
-from torchmbd.study.evaluations import Evaluations
+from torchmbd.study.record.evaluations import Evaluations
 
 
 class StoredFit(FitProblem):

@@ -35,12 +35,12 @@ from torchmbd.extensions.identification.measurement import unit_of_title
 from torchmbd.extensions.identification.plan import IdentificationPlan
 from torchmbd.extensions.identification.stored_fit import StoredFit, fit_key
 from torchmbd.math.units import units_of
-from torchmbd.study.evaluations import Evaluations
-from torchmbd.study.metric_names import DESIGN, legal_key
-from torchmbd.study.paths import evaluations_file, file_key, numbers_key
-from torchmbd.study.progress import print_table, table_of
-from torchmbd.study.run_record import RunRecord
-from torchmbd.study.runs import PARENT, Runs, child
+from torchmbd.study.record.evaluations import Evaluations
+from torchmbd.study.record.metric_names import DESIGN, legal_key
+from torchmbd.study.record.paths import evaluations_file, file_key, numbers_key
+from torchmbd.study.record.run_record import RunRecord
+from torchmbd.study.record.runs import PARENT, Runs, child
+from torchmbd.study.report.progress import print_table, table_of
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import TABLES
 from torchmbd.tracking.provenance import version_of

@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.study.report import draw_measures
+from torchmbd.study.report.terminal import draw_measures
 from torchmbd.viz import campbell, root_locus
 
 LABELS = ["start design", "best design"]

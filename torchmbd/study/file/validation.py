@@ -1,0 +1,178 @@
+"""Validation of the data of an experiment file: its valid sections, and the faults of the others.
+
+Messages of pydantic are rewritten: the path as an override spells it, the value, what is allowed and the nearest valid name.
+Where one section is faulty, each of the others is validated by itself, and so is each entry of a section of several.
+"""
+
+from __future__ import annotations
+
+import types
+from functools import cache
+from typing import Any, Union, cast, get_args, get_origin
+
+from pydantic import ValidationError, create_model
+from pydantic_core import ErrorDetails
+
+from torchmbd.errors import Path, nearest
+from torchmbd.study.file.faults import Fault, shown
+from torchmbd.study.file.schema import LIMIT_KINDS, UNITS, Section
+from torchmbd.tracking.uri import StoreURI
+
+_FUNCTION = "package.module:function or path/to/file.py:function"
+#: What is allowed as the value of required keys.
+_ALLOWED = {
+    "model": _FUNCTION,
+    "figures": _FUNCTION,
+    "design": "parameters of the model, each with lower, upper and unit",
+    "simulate": "duration, and what else torchmbd.simulate takes",
+    "minimize": "a response, such as {integral: {strain_energy: rod}}",
+    "unit": ", ".join(UNITS),
+    "count": "a whole number",
+    **dict.fromkeys(("lower", "upper", "duration", "from", "to"), "a number"),
+}
+#: Kind of an error of pydantic -> the rule, with the numbers of the error.
+_MUST = {
+    **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size"), "must be a valid integer"),
+    "int_from_float": "must be a valid integer, without a fraction",
+    **dict.fromkeys(("float_type", "float_parsing"), "must be a valid number"),
+    "finite_number": "must be a finite number",
+    **dict.fromkeys(("string_type", "string_unicode"), "must be a valid string"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
+    "list_type": "must be a valid list",
+    "literal_error": "must be {expected}",
+    "greater_than": "must be greater than {gt:.12g}",
+    "greater_than_equal": "must be greater than or equal to {ge:.12g}",
+    "less_than": "must be less than {lt:.12g}",
+    "less_than_equal": "must be less than or equal to {le:.12g}",
+    "string_too_short": "must have at least {min_length} character",
+    "string_too_long": "must have at most {max_length} characters",
+    "string_pattern_mismatch": "must match the pattern {pattern}",
+    "too_short": "must have at least {min_length} item",
+    "too_long": "must have at most {max_length} items",
+}
+#: Sections of several entries, each of which can be checked alone.
+_OF_ENTRIES = ("design", "links", "tradeoff", "subject_to", "scenarios")
+
+
+def validate(data: Any, kind: type[Section]) -> tuple[dict[str, Any], list[Fault]]:
+    """Return the sections that are valid, by name, and the faults of the others; `kind`: what the file is to be.
+
+    Of a section with faulty entries, such as scenarios, these are None, and the others valid.
+    """
+    if not isinstance(data, dict):
+        keys = ", ".join(f"{key}:" for key in _keys((), kind))
+        return {}, [Fault((), f"is {shown(data)}; allowed: sections such as {keys}")]
+    try:
+        return dict(kind.model_validate(data)), []
+    except ValidationError as error:
+        faults = _faults(error, data, kind)
+    sections: dict[str, Any] = {}
+    for name in kind.model_fields:
+        paths = [fault.path for fault in faults if fault.path[:1] == (name,)]
+        if not paths:
+            alone = _alone(kind, name).model_validate({name: data[name]} if name in data else {})
+            sections[name] = getattr(alone, name)
+        elif name in _OF_ENTRIES and all(len(path) > 1 for path in paths):
+            sections[name] = _entries(kind, name, data[name], {path[1] for path in paths})
+    return sections, faults
+
+
+@cache
+def _alone(kind: type[Section], name: str) -> type[Section]:
+    """Return a model of one section of a file."""
+    field = kind.model_fields[name]
+    fields: dict[str, Any] = {
+        name: (field.rebuild_annotation(), field.get_default(call_default_factory=True, validated_data={}))
+    }
+    return create_model(name, __base__=Section, **fields)
+
+
+def _entries(kind: type[Section], name: str, data: Any, wrong: set[str | int]) -> Any:
+    """Return the entries of a section, None for those that are `wrong`."""
+    entry = create_model(name, __base__=Section, entry=(get_args(_plain(kind.model_fields[name].annotation))[-1], ...))
+    items = data.items() if isinstance(data, dict) else enumerate(data)
+    valid = {key: None if key in wrong else dict(entry.model_validate({"entry": x}))["entry"] for key, x in items}
+    return valid if isinstance(data, dict) else list(valid.values())
+
+
+def _faults(error: ValidationError, data: Any, kind: type[Section]) -> list[Fault]:
+    texts: dict[Path, list[str]] = {}
+    values: dict[Path, object] = {}
+    located = [(_path(details, data), details) for details in error.errors(include_url=False)]
+    for path, details in located:
+        if isinstance(details["input"], list) and any(other[:-1] == path for other, _ in located):
+            continue  # not the list is wrong but an entry of it
+        text = _text(details, path, kind)
+        values[path] = _shown_input(details, path)
+        if text not in texts.setdefault(path, []):
+            texts[path].append(text)
+    return [Fault(path, _either(alternatives, values[path])) for path, alternatives in texts.items()]
+
+
+def _path(details: ErrorDetails, data: Any) -> Path:
+    """Keep what the file itself holds of pydantic's location, not the branches of its own types."""
+    path: Path = ()
+    location = details["loc"]
+    for k, part in enumerate(location):
+        inside = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
+        if inside:
+            data, path = cast(Any, data)[part], (*path, part)
+        elif details["type"] == "missing" and k == len(location) - 1:
+            path = (*path, part)
+    return (*path, *details.get("ctx", {}).get("path", ()))
+
+
+def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str:
+    kind, value = details["type"], _shown_input(details, path)
+    if kind == "missing":
+        return f"is missing; allowed: {_ALLOWED.get(str(path[-1]), 'a value')}"
+    if kind == "extra_forbidden":
+        return f"unknown key{nearest(path[-1], _keys(path[:-1], kind_of_file))} (given: {shown(value)})"
+    if kind == "string_pattern_mismatch" and path in (("model",), ("figures",), ("simulate", "phases")):
+        return f"= {shown(value)}: matches no pattern; allowed: {_ALLOWED['model']}"
+    if kind == "response" and path[0] == "subject_to" and len(path) == 3:  # perhaps a limit that is misspelt
+        return f"{details['msg']}; a limit is one of {', '.join(LIMIT_KINDS)}"
+    if kind in ("fault", "response"):
+        return details["msg"]
+    if kind in ("model_type", "dict_type"):
+        return f"= {shown(value)}: must be a mapping (key: value)"
+    if kind == "too_short" and path == ("design",):
+        return "is empty; must have at least one parameter of the model"
+    if kind in ("too_short", "too_long") and isinstance(value, dict):
+        least = details.get("ctx", {}).get("min_length", 1)
+        return f"has {len(value)} keys; must have {'exactly one' if path == ('sweep',) else f'{least} or more'}"
+    rule = _MUST[kind].format(**details.get("ctx", {})) if kind in _MUST else details["msg"]
+    return f"= {shown(value)}: {rule}"
+
+
+def _shown_input(details: ErrorDetails, path: Path) -> object:
+    """Return the value of a fault, the user part of a store's URI hidden, whatever is wrong with it."""
+    value = details["input"]
+    return str(StoreURI(value)) if path == ("tracking", "uri") and isinstance(value, str) else value
+
+
+def _either(texts: list[str], value: object) -> str:
+    """Join the messages of the branches of a union about one value; a hint "did you mean" comes last."""
+    first, *others = texts
+    first, meant, hint = first.partition("; did you mean ")
+    said = [other.removeprefix(f"= {shown(value)}: ").removeprefix("must be ") for other in others]
+    return first + "".join(f"; or {other}" for other in said) + meant + hint
+
+
+def _keys(path: Path, section: Any) -> list[str]:
+    """Return the keys that a part of a file may have."""
+    for part in path:
+        if isinstance(section, type) and issubclass(section, Section):
+            section = _plain(section.model_fields[str(part)].annotation)
+        else:
+            section = _plain(get_args(section)[-1])
+    return [field.alias or name for name, field in section.model_fields.items()]
+
+
+def _plain(annotation: Any) -> Any:
+    """Strip Annotated and Optional."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        return next(_plain(branch) for branch in get_args(annotation) if branch is not type(None))
+    if getattr(annotation, "__metadata__", None):
+        return _plain(get_args(annotation)[0])
+    return annotation

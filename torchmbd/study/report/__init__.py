@@ -1,0 +1,1 @@
+"""What a user sees of a study: progress, tables, the answer, comparisons and the HTML report."""
