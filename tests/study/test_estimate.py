@@ -74,6 +74,15 @@ def test_the_cost_of_a_valid_file(write):
 
 
 @pytest.mark.thorough
+def test_phases_that_begin_after_the_part_that_is_measured(write):
+    plan = load_study(write(simulate={"duration": 0.008, "steps": 40, "phases": "rod_model.py:in_two"}))
+    whole = plan.simulated.simulation
+    assert [phase.until for phase in whole.beginning(0.006, 30).phases] == [0.004, None]
+    assert [phase.until for phase in whole.beginning(0.004, 20).phases] == [None]
+    assert estimate(plan, plan.simulated).batch_seconds > 0.0
+
+
+@pytest.mark.thorough
 def test_responses_count(write, monkeypatch):
     """By a clock that only the response moves: the estimate is what a batch takes, of the whole motion."""
     clock = [0.0]

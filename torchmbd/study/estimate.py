@@ -190,9 +190,7 @@ def _simulate_beginning(problem: Problem, X: np.ndarray, mode: str, share: float
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about the accuracy of a few steps
         for simulation, designs in problem.cases(X):
-            part = simulation.with_arguments(
-                duration=share * problem.duration, steps=None if steps is None else round(share * steps)
-            )
+            part = simulation.beginning(share * problem.duration, None if steps is None else round(share * steps))
             motion = part(designs, mode, problem.space.variables)
             differentiate(partial(_response_rows, problem), motion)
             size += _motion_bytes(motion)

@@ -154,3 +154,18 @@ def test_derivatives_of_a_motion_do_not_notice():
         return mbd.Max(mbd.StrainEnergy("arm"))(motion)[0]
 
     assert torch.func.vmap(torch.func.grad(energy))(angles[None] + 0.3).isfinite().all()
+
+
+@pytest.mark.parametrize("hung", [False, True])
+def test_modes_that_the_joints_hold_leave_out_everything(hung):
+    body = beam(modes=4)  # as many as the joint at the other end fixes
+    joints = [mbd.Fixed(GROUND.at(), body.at("start")), mbd.Fixed(GROUND.at(1.0, 0.0, 0.0), body.at("end"))]
+    bodies: list = [body]
+    if hung:
+        bodies.append(mbd.RigidBody("weight", 1.0, (1.0, 1.0, 1.0), position=(0.5, 0.0, -1.0)))
+        joints.append(mbd.Revolute(body.at("center"), bodies[1].at(0.0, 0.0, 1.0), axis="y"))
+    system = mbd.System(bodies, joints, [mbd.Force(body.at("center"), (0.0, 0.0, -1.0))])
+    result = truncation(system)
+    assert (result.share, result.rigid, result.body) == (1.0, True, "beam")
+    with pytest.warns(UserWarning, match="all flexibility of body 'beam'"):
+        mbd.simulate(system, 0.01, steps=2)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -126,6 +126,14 @@ class Phase:
 
 
 ONE_PHASE = (Phase(),)  # of a motion without switches: all joints and laws of the system act throughout
+
+
+def phases_within(phases: Sequence[Phase], seconds: float) -> list[Phase]:
+    """The phases of the first part of a motion [s]: those that begin in it, as far as their times tell."""
+    late = [i for i, phase in enumerate(phases) if phase.end_time is not None and phase.end_time >= seconds]
+    if not late:
+        return list(phases)
+    return [*phases[: late[0]], replace(phases[late[0]], until=None, impact=None)]
 
 
 def _number(x: float | Tensor) -> float:

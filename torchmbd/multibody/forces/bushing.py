@@ -18,7 +18,7 @@ from torchmbd.math.variable import number
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.forces.action import Along, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.forces.laws import Spring, expand_numbers
+from torchmbd.multibody.forces.laws import Spring, one_or_three_numbers
 from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
 
 _UNITS = {
@@ -77,7 +77,7 @@ class Bushing(ForceElement):
     def _springs(self, kind: str, *values: Any) -> list[Any]:
         """The laws of the three axes: of stiffness and damping."""
         labels = [f"{kind}stiffness", f"{kind}damping"]
-        k, c = (expand_numbers((self.name, label), x, 3) for label, x in zip(labels, values, strict=True))
+        k, c = (one_or_three_numbers((self.name, label), x) for label, x in zip(labels, values, strict=True))
         for label, x in zip(labels, (k, c), strict=True):
             for y in x:
                 nonnegative((self.name, label), number(y), _UNITS[label])

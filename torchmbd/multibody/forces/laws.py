@@ -372,14 +372,26 @@ def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
     return f
 
 
-def expand_numbers(name: str | Path, x: Any, count: int) -> list[Any]:
-    """The argument x, `count` finite numbers or one for all, as a list; each may be a design variable."""
-    single = isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.dim() == 0)
-    items: Any = [x] * count if single else x
-    try:
-        values = [finite(name, y) for y in items]
-    except (TypeError, InputError):
-        values = []
-    if len(values) != count:
-        raise InputError(name, x, f"{count} finite numbers, or one for all; each may be mbd.variable(...)")
+def three_numbers(name: str | Path, x: Any) -> list[Any]:
+    """The argument x, three finite numbers, as a list; each may be a design variable."""
+    values = _finite_numbers(name, x)
+    if len(values) != 3:
+        raise InputError(name, x, "three finite numbers; each may be mbd.variable(...)")
     return values
+
+
+def one_or_three_numbers(name: str | Path, x: Any) -> list[Any]:
+    """The argument x, three finite numbers or one for all, as a list; each may be a design variable."""
+    single = isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.dim() == 0)
+    values = _finite_numbers(name, [x] * 3 if single else x)
+    if len(values) != 3:
+        raise InputError(name, x, "three finite numbers, or one for all; each may be mbd.variable(...)")
+    return values
+
+
+def _finite_numbers(name: str | Path, items: Any) -> list[Any]:
+    """The items as a list; empty if they are not finite numbers."""
+    try:
+        return [finite(name, y) for y in items]
+    except (TypeError, InputError):
+        return []

@@ -14,7 +14,7 @@ from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Push, Twist
 from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.forces.laws import OfTime, Scaled, check_law, evaluate_law, expand_numbers
+from torchmbd.multibody.forces.laws import OfTime, Scaled, check_law, evaluate_law, three_numbers
 from torchmbd.multibody.joints.joint import AttachmentTable
 
 Vector = Sequence[float | Tensor] | Callable[[Tensor], Tensor] | Scaled
@@ -41,7 +41,7 @@ def _parts(name: str, vector: Any) -> list[Any]:
     """The three components of a vector of numbers, of a function of time, or of Scaled of a function."""
     law: Any = vector.law if isinstance(vector, Scaled) else vector
     if not callable(law):
-        return expand_numbers((name, "vector"), law, 3)
+        return three_numbers((name, "vector"), law)
     result = evaluate_law(name, law, torch.zeros((), dtype=torch.float64))
     if not isinstance(result, Tensor) or result.shape != (3,) or not bool(torch.isfinite(result).all()):
         raise InputError(

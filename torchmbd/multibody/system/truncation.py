@@ -43,7 +43,7 @@ _CHECKED: WeakKeyDictionary[Any, set[tuple]] = WeakKeyDictionary()
 _REGULAR = 1e-12  # share of the largest flexibility in the joints that is added, so that redundant rows are determined
 _SHOWN = 4  # nodes in a message
 _ELASTIC = 0.2  # least share of the energy of a vibration in the modal coordinates that makes it elastic
-_RIGID = 1e-5  # share of the highest frequency below which a freedom has no stiffness
+_RIGID = 1e-5  # share of the highest frequency of a mode alone: below it, a vibration has no stiffness
 _SHIFT = 1e-2  # share of the first elastic frequency: a stiffness that makes these freedoms regular
 
 
@@ -56,6 +56,7 @@ class StaticTruncation:
     body, where   the body with the largest part of the residual flexibility, and its frame
     advice        a setting without this truncation
     load          the load, of a deflection: a force, or a change of temperature or moisture
+    rigid         True if the joints hold all modes of all bodies, so that no elastic vibration is left; the share is 1
     """
 
     share: float
@@ -64,10 +65,13 @@ class StaticTruncation:
     where: str
     advice: str
     load: str = "a force at"
+    rigid: bool = False
 
     def __str__(self) -> str:
         what = f"{100 * self.share:.2g} % of the deflection of body {self.body!r} under {self.load} {self.where}"
-        if self.frequencies is not None:
+        if self.rigid:
+            what = f"all flexibility of body {self.body!r}: its joints, as at {self.where}, hold every mode, and it moves as if rigid"
+        elif self.frequencies is not None:
             with_modes, exact = self.frequencies
             what = (
                 f"flexibility of body {self.body!r} at {self.where}: a vibration of {exact:.3g} Hz comes out as "
@@ -128,7 +132,7 @@ def warn_static_truncation(system: Any) -> None:
         _CHECKED.setdefault(body, set()).update(x)
     try:
         truncation = outside_transforms(lambda: static_truncation(system))
-    except (MbdError, RuntimeError):  # the designs to be simulated need not have the errors of the present one
+    except (MbdError, torch.linalg.LinAlgError):  # the designs to be simulated need not have the errors of the present one
         return
     if truncation is not None and truncation.share > system.truncation:
         warn(f"{truncation}. System(..., truncation=None) does not look")
@@ -244,8 +248,13 @@ def _of_joints(residuals: list[_Residual], T: Any, rest: Linearization, loads: T
     C = torch.stack([w @ x.R @ w.T for w, x in zip(W, residuals, strict=True)]).sum(0)
     vibrations = Vibrations.of(rest)
     elastic = _elastic(T, rest, vibrations)
-    if not bool(C.any()) or not elastic:
+    if not bool(C.any()):
         return None
+    if not elastic:
+        parts = [torch.einsum("ij,jk,ik->ij", w, x.R, w) for w, x in zip(W, residuals, strict=True)]
+        k = max(range(len(parts)), key=lambda k: float(parts[k].sum()))
+        mounts = parts[k].sum(0).reshape(-1, 6).sum(1)
+        return StaticTruncation(1.0, None, *_texts(residuals[k], int(mounts.argmax())), rigid=True)
     before = vibrations.frequencies[elastic]
     squares, multipliers = _flexible_joints(rest, C, (2.0 * math.pi * _SHIFT * float(before[0])) ** 2)
     after = squares[elastic].clamp_min(0.0).sqrt() / (2.0 * math.pi)
@@ -262,9 +271,12 @@ def _of_joints(residuals: list[_Residual], T: Any, rest: Linearization, loads: T
 def _elastic(T: Any, rest: Linearization, vibrations: Vibrations) -> list[int]:
     """Numbers of the first elastic vibration and of those up to twice as fast; elastic: with energy in modal coordinates."""
     frequencies, w = vibrations.frequencies, vibrations.shapes[6 * T.bodies :]
+    if not len(frequencies):  # the joints leave no motion
+        return []
     energy = (w * (rest.K[6 * T.bodies :, 6 * T.bodies :] @ w)).sum(0)
     elastic = energy > _ELASTIC * (2.0 * math.pi * frequencies).square()
-    elastic &= frequencies > _RIGID * frequencies.nan_to_num(0.0).max()
+    modal = (rest.K.diagonal() / rest.M.diagonal())[6 * T.bodies :]
+    elastic &= frequencies > _RIGID * float(modal.max().sqrt()) / (2.0 * math.pi)
     first = elastic.nonzero()[:1, 0]
     return (elastic & (frequencies <= _NEAR * frequencies[first].sum())).nonzero()[:, 0].tolist()
 
