@@ -70,7 +70,7 @@ class StaticTruncation:
     def __str__(self) -> str:
         what = f"{100 * self.share:.2g} % of the deflection of body {self.body!r} under {self.load} {self.where}"
         if self.rigid:
-            what = f"all flexibility of body {self.body!r}: its joints, as at {self.where}, hold every mode, and it moves as if rigid"
+            what = f"all flexibility of body {self.body!r}: joints, as at {self.where}, hold all its modes, and it moves as if rigid"
         elif self.frequencies is not None:
             with_modes, exact = self.frequencies
             what = (
@@ -132,8 +132,8 @@ def warn_static_truncation(system: Any) -> None:
         _CHECKED.setdefault(body, set()).update(x)
     try:
         truncation = outside_transforms(lambda: static_truncation(system))
-    except (MbdError, torch.linalg.LinAlgError):  # the designs to be simulated need not have the errors of the present one
-        return
+    except (MbdError, torch.linalg.LinAlgError):
+        return  # the designs to be simulated need not have the errors of the present one
     if truncation is not None and truncation.share > system.truncation:
         warn(f"{truncation}. System(..., truncation=None) does not look")
 
