@@ -15,7 +15,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import tensor
 from tests.refused import refused
-from torchmbd.multibody.system.truncation import StaticTruncation, warn_static_truncation
+from torchmbd.diagnosis.truncation import StaticTruncation, warn_static_truncation
 from torchmbd.results.ply_history import changes_of
 
 GROUND = mbd.Ground()
@@ -382,7 +382,7 @@ def test_modes_without_the_shape_are_reported():
         body = mbd.FlexibleBody.plate("panel", mesh, laminate, 3, reference="left", expansion=expansion)
         hold = mbd.Fixed(GROUND.at(-0.1, 0, 0), body.at("left"))
         body.position.copy_(tensor(-0.1, 0.0, 0.0))
-        truncation = mbd.System([body], [hold], [mbd.Temperature(body, 10.0)]).static_truncation()
+        truncation = mbd.static_truncation(mbd.System([body], [hold], [mbd.Temperature(body, 10.0)]))
         assert isinstance(truncation, StaticTruncation)
         shares.append(truncation.share)
         if not expansion:
