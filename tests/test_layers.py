@@ -29,6 +29,8 @@ LAYERS = (
     {"multibody.system"},
     {"results"},
     {"integrate"},
+    {"diagnosis"},
+    {"simulation"},
     {"optimization"},
     {"design"},
     {"viz", "tracking", "examples"},

@@ -60,7 +60,7 @@ def test_without_the_folder_the_core_is_complete(tables):
 def test_frequencies_of_an_equilibrium_tell_what_is_not_installed(tables, monkeypatch):
     tables(None)
     # The module, whose function has the same name.
-    equilibrium = importlib.import_module("torchmbd.integrate.equilibrium")
+    equilibrium = importlib.import_module("torchmbd.simulation.equilibrium")
     monkeypatch.setattr(equilibrium, "OF_EQUILIBRIUM", registry.Registry("of_equilibrium", {}))
     rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     assert rest.stable

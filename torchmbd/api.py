@@ -48,6 +48,7 @@ from torchmbd.design.ply_failure import PlyFailure, PlyStress
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.sharpening import sharpen
 from torchmbd.design.verification import verify
+from torchmbd.diagnosis.truncation import static_truncation
 from torchmbd.errors import DesignFailure, InputError, MbdError, SimulationFailure
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
@@ -55,7 +56,7 @@ from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.integrate import Equilibrium, Event, Phase, Simulation, Trajectory, equilibrium, simulate
+from torchmbd.integrate import Event, Phase, Trajectory
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -109,6 +110,7 @@ from torchmbd.optimization.multistart import multistart
 from torchmbd.process import threads
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory
+from torchmbd.simulation import Equilibrium, Simulation, equilibrium, simulate
 
 if TYPE_CHECKING:
     from torchmbd.study.record.stored_run import LoadedStudy
@@ -282,6 +284,7 @@ __all__ = [
     "sobol",
     "spectral_function",
     "split",
+    "static_truncation",
     "threads",
     "variable",
     "verify",

@@ -82,7 +82,7 @@ PATH = (
     Stage(
         ("Structure", "Structure: the modes; the rest by torch"),
         (
-            ("integrate/simulation.py", "Simulation"),
+            ("simulation/simulation.py", "Simulation"),
             ("multibody/system/system.py", "System"),
             ("multibody/bodies/flexible.py", "FlexibleBody"),
             ("fem/materials/laminate.py", "Laminate"),

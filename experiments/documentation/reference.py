@@ -35,7 +35,7 @@ GROUPS: dict[str, str] = {
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "
     "Pressure Temperature AxialStop RotationalStop PlaneContact forces variable",
     "feedback": "Controller ControlHistory signals",
-    "systems": "System Dynamics read_urdf read_mjcf examples",
+    "systems": "System Dynamics static_truncation read_urdf read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
     "simulation": "simulate Simulation equilibrium Equilibrium campbell Campbell frozen_poles linearize LinearSystem "
     "buckling Buckling frequencies Vibrations Trajectory Phase Event threads",

@@ -139,7 +139,7 @@ def test_bounds_change_the_key_where_they_change_numbers(wide, narrow, same):
 def use(system: mbd.System) -> None:
     """Uses of a system that leave its key as it is."""
     repr(system.describe())
-    system.static_truncation()
+    mbd.static_truncation(system)
     system().train()
     system.eval()
     mbd.simulate(system, 0.004, steps=4, gradients="reverse", variables=[NAME])

@@ -156,7 +156,7 @@ def test_an_error_that_is_small_enough_needs_no_third_motion(monkeypatch):
     assert chosen.refined(np.array([2.0])) is None
     [motion] = motions
     assert 2 * motion.integration.steps == steps
-    assert list(motion._again) == [2]
+    assert list(motion.repetition.made) == [2]
 
 
 @pytest.mark.thorough

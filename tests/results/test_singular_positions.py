@@ -11,8 +11,8 @@ import torch
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum, plate, tensor
 from tests.validation.rigid_benchmarks import n_four_bar, n_four_bar_at
+from torchmbd.diagnosis.failures import report_singular_positions
 from torchmbd.results import singular_positions
-from torchmbd.results.singular_positions import report_singular_positions
 from torchmbd.results.time_rows import TensorSignals
 
 
@@ -47,10 +47,10 @@ def test_a_motion_that_failed_says_where(folding):
 def test_some_states_of_a_long_motion_say_whether_all_are_worth_a_look(folding, monkeypatch):
     """Ten states of a motion that folds once see it; a motion far from any singular position is left after them."""
     monkeypatch.setattr(singular_positions, "_SAMPLES", 10)
-    assert singular_positions._may_be_near(folding, 0)
+    assert singular_positions.may_be_near(folding, 0)
     assert len(folding.singular_positions()) == 1
     motion = mbd.simulate(mbd.examples.pendulum(), 0.02, steps=40).require_ok()
-    assert not singular_positions._may_be_near(motion, 0)
+    assert not singular_positions.may_be_near(motion, 0)
 
 
 @pytest.mark.thorough

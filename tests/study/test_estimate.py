@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
-from torchmbd.integrate import Simulation
+from torchmbd.simulation import Simulation
 from torchmbd.study.estimate import estimate, print_estimate
 from torchmbd.study.file.load import load_study
 
@@ -70,7 +70,7 @@ def test_the_cost_of_a_valid_file(write):
     )
     assert "reverse mode" in text
     assert "forward mode" in text
-    assert "retained modes: make joints and forces" in text  # what these leave out (multibody/system/truncation.py)
+    assert "retained modes: make joints and forces" in text  # what these leave out (diagnosis/truncation.py)
 
 
 @pytest.mark.thorough

@@ -14,11 +14,11 @@ import torchmbd as mbd
 from tests.refused import refused
 from torchmbd.fem.materials import Laminate, Ply
 from torchmbd.fem.mesh import rectangle
-from torchmbd.integrate import simulate
 from torchmbd.math.angles import deg
 from torchmbd.multibody.bodies import FlexibleBody, Ground, RigidBody
 from torchmbd.multibody.joints import Drive, Prismatic, Revolute, Spherical, Universal
 from torchmbd.multibody.system import System
+from torchmbd.simulation import simulate
 from torchmbd.viz import animate
 from torchmbd.viz.animation import scene_of
 from torchmbd.viz.film import positions

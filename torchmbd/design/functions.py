@@ -19,9 +19,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import History, Measure
+from torchmbd.diagnosis.response_error import change_by_motion
 from torchmbd.errors import InputError, warn
 from torchmbd.integrate import Trajectory
-from torchmbd.results.response_error import change_by_motion
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ from torchmbd.design.space import DesignSpace
 from torchmbd.design.words import names_of_rows
 from torchmbd.errors import InputError, SimulationFailure, argument_names, keyword_hints
 from torchmbd.fem.reduction import CutCluster
-from torchmbd.integrate import Phase, Simulation, Trajectory
+from torchmbd.integrate import Phase, Trajectory
 from torchmbd.integrate.arguments import check_gradients
 from torchmbd.integrate.backend import likely_backend
 from torchmbd.integrate.memory import lanes_at_once, require_memory
@@ -54,6 +54,7 @@ from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.extra_variable import ExtraVariable
 from torchmbd.optimization.optimizer import as_numbers
+from torchmbd.simulation import Simulation
 from torchmbd.summary import Summary, few
 
 BOUND = "bound"  # name of the extra variable beta

@@ -1,6 +1,6 @@
 """Errors of the objective and of every constraint of a problem, by the steps, modes and meshes of its motions.
 
-Checked in tests/design/test_response_errors.py.
+Checked in tests/diagnosis/test_response_errors.py.
 """
 
 from __future__ import annotations

@@ -36,15 +36,14 @@ import numpy as np
 import torch
 
 from torchmbd.design.response import Measure
+from torchmbd.diagnosis.response_error import response_error
 from torchmbd.errors import InputError, SimulationFailure, warn
 from torchmbd.integrate import Trajectory
-from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.step_count import rounding
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.digest import digest
 from torchmbd.progress import stage
 from torchmbd.results.motion_data import OK
-from torchmbd.results.response_error import response_error, rows_of
+from torchmbd.results.response_error import rows_of
 
 TOLERANCE = 0.01  # of every response and of every limit
 COARSE = 10.0  # times the tolerance, far from an optimum
@@ -227,7 +226,8 @@ def _first_errors(problem: Any, x: np.ndarray) -> _Errors:
     if key not in known:
         motions = _motions(problem, x, None)
         first = motions[0].integration.steps if motions else None
-        longer = [motion.by_longer_steps() for motion in motions if isinstance(motion.repetition.integrator, OneStep)]
+        again = [motion.require_repetition() for motion in motions]
+        longer = [r.by_longer_steps(m) for r, m in zip(again, motions, strict=True) if r.has_equal_steps]
         sound = [motion for motion in longer if motion is not None and all(status == OK for status in motion.status)]
         steps = {motion.integration.steps for motion in sound}
         errors = None
@@ -293,7 +293,7 @@ def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least
     if not motions:
         return _Errors(StepChoice(steps, math.inf, "every response", "the motion fails"), None)
     steps = motions[0].integration.steps
-    if any(not isinstance(motion.repetition.integrator, OneStep) for motion in motions):
+    if not all(motion.require_repetition().has_equal_steps for motion in motions):
         return _Errors(StepChoice(steps), None)
     measures = [(problem.objective, None), *((c.measure, c.limit) for c in problem.constraints)]
     worst = StepChoice(steps, 0.0, "all responses")
@@ -303,7 +303,7 @@ def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least
             share, reason = _share(motion, measure.at_start(motions[0]), least, enough)
             if (bool(reason), share) > (bool(worst.reason), worst.error):
                 worst = StepChoice(steps, share, repr(measure), reason)
-    each = [rounding(m.repetition.integrator, m.integration.dynamics, problem.duration)(1) for m in motions]
+    each = [motion.require_repetition().multiple for motion in motions]
     objective = problem.objective.at_start(motions[0])
     size = max(float(objective.size(motion).max()) for motion in motions)
     return _Errors(worst, math.lcm(*each), size if math.isfinite(size) else 0.0)

@@ -32,9 +32,10 @@ from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.scenario_settings import SYSTEM, combined, normalized_weights, scenarios_by_name, settings_of
 from torchmbd.errors import InputError, SimulationFailure, unknown
 from torchmbd.fem.reduction import CutCluster
-from torchmbd.integrate import Simulation, Trajectory
+from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
+from torchmbd.simulation import Simulation
 
 OBJECTIVES, CONSTRAINTS = ("worst", "mean"), ("each", "worst", "mean")
 

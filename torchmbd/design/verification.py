@@ -28,13 +28,13 @@ from torchmbd.design.problem_errors import design_errors
 from torchmbd.design.problem_parts import governing_row, limits_of, masses_and_frequencies
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.words import unit, words
+from torchmbd.diagnosis.load_shares import notes_of_loads
 from torchmbd.errors import InputError, MbdError, warnings_once
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.optimization import MultistartResult, OptimizationResult, Processes, RobustProblem
 from torchmbd.optimization.api import FEASIBILITY
 from torchmbd.optimization.optimizer import largest_violation
 from torchmbd.results.answer import GAIN, LIMIT, Answer, Number, Verification
-from torchmbd.results.elastic_limits import notes_of_loads
 from torchmbd.results.response_error import ResponseError, rows_of
 
 _ENDS = 3  # of other starts that are simulated, at most

@@ -23,9 +23,10 @@ from torch import Tensor
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError, unknown
-from torchmbd.integrate import Simulation, Trajectory
+from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
+from torchmbd.simulation import Simulation
 
 __all__ = ["openmdao_component"]
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from torchmbd.integrate.held_times import held_times_of, within_phases
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
-from torchmbd.integrate.jumps import held_times_of, within_phases
 from torchmbd.integrate.lanes import lanes_of
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.events import Views

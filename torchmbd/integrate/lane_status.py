@@ -17,7 +17,6 @@ from torch import Tensor
 
 from torchmbd.errors import warn
 from torchmbd.integrate.contacts import UnresolvedContact
-from torchmbd.integrate.estimates import GOOD_STEP
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.statistics import ITERATION_ERROR, TURN, Statistics
@@ -25,10 +24,8 @@ from torchmbd.math.pair import value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.system import Dynamics
-from torchmbd.results.energies import energies
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, has_failed
-from torchmbd.results.trajectory import Trajectory
 
 # Lanes with a larger iteration error, or with steps that were corrected further, have their joints checked.
 IMPRECISE = 1e-3
@@ -41,9 +38,8 @@ ALTERNATION = 0.3
 # Beyond these mechanics of Newton does not hold, and rounding of positions is of the size of a machine.
 LIGHT = 3e8  # [m/s]; of angular and modal rates as well
 FAR = 1e13  # [m]
-_GAIN = 0.05  # of the largest kinetic and strain energy, which no load gives: trapezoidal works are off by a percent
 _OPEN = 1e-4  # [m] or [-]: violation of a joint at the end of a motion whose joints could not stay closed
-_UNRESOLVED = "unresolved: "
+UNRESOLVED = "unresolved: "
 
 
 def status_of_lanes(
@@ -99,13 +95,13 @@ def _status_of_steps(statistics: Statistics, lane: int) -> str:
     if step_error > STEP_ERROR:
         # Of a stiff body only the gross motion may be of interest, which damped vibrations leave right: the numbers stay.
         return (
-            f"{_UNRESOLVED}the steps do not resolve the vibrations of a flexible body (estimated error "
+            f"{UNRESOLVED}the steps do not resolve the vibrations of a flexible body (estimated error "
             f"{100 * step_error:.0f} % of the largest): its energies mean little; "
             f"{suggested_steps:.0f} steps would resolve them"
         )
     if alternation > ALTERNATION:
         return (
-            f"{_UNRESOLVED}{100 * alternation:.0f} % of the accelerations change their sign from step to step: the steps do "
+            f"{UNRESOLVED}{100 * alternation:.0f} % of the accelerations change their sign from step to step: the steps do "
             "not resolve vibrations of a beam, which may grow; more steps, a smaller spectral_radius or damping of the beam "
             "help"
         )
@@ -148,48 +144,21 @@ def mark_unresolved_contacts(status: list[str], contacts: Mapping[int, Unresolve
     """Set the status of lanes with contacts that the steps do not show; lanes that failed keep their reason."""
     for lane, contact in contacts.items():
         if not has_failed(status[lane]):
-            status[lane] = f"{'failed: ' if contact.fails else _UNRESOLVED}{contact.message}"
-
-
-def mark_gains(motion: Trajectory) -> None:
-    """Set the status of lanes of a motion of values whose vibrations gain energy that nothing gives them, after a switch.
-
-    A lock excites vibrations that the steps before did not have to resolve; those of a fifth of a period or more may grow
-    from step to step, as they do not decay in a method of little numerical damping. Works of drives and of laws of forces
-    have errors of the steps themselves, so systems with them are left out.
-    """
-    T, errors = motion.dynamics.topology, motion.stats.get("step_error")
-    driven = any(p.driven for p in T.primitives) or len(T.actions) > 0
-    if not motion.switches or errors is None or not T.flexible or driven:
-        return
-    lanes = [k for k, status in enumerate(motion.status) if status == OK and float(errors[k]) > GOOD_STEP]
-    if not lanes:
-        return
-    e = energies(motion, lanes)
-    gain = (e.stored + e.lost - e.applied - (e.stored - e.applied)[:, :1]).amax(1)
-    size = (e.kinetic + e.strain).amax(1)
-    for lane, share in zip(lanes, (gain / size).tolist(), strict=True):
-        if share > _GAIN:
-            motion.status[lane] = (
-                f"{_UNRESOLVED}the motion gains {share:.1g} of its energy, which no load gives it: the steps do not resolve "
-                "the vibrations of a flexible body after a switch, which grow; more steps, a smaller spectral_radius or "
-                "damping of the body help"
-            )
-    warn_unresolved([motion.status[lane] for lane in lanes])
+            status[lane] = f"{'failed: ' if contact.fails else UNRESOLVED}{contact.message}"
 
 
 def mark_doubts(status: list[str], doubts: Mapping[int, str]) -> None:
     """Set the status of lanes whose events the steps may have missed; others keep theirs."""
     for lane, doubt in doubts.items():
         if status[lane] == OK:
-            status[lane] = f"{_UNRESOLVED}{doubt}"
+            status[lane] = f"{UNRESOLVED}{doubt}"
 
 
 def warn_unresolved(status: Sequence[str]) -> None:
     """Warn of lanes that are unresolved, once for each reason."""
     for reason in dict.fromkeys(status):
-        if reason.startswith(_UNRESOLVED):
-            warn(reason.removeprefix(_UNRESOLVED))
+        if reason.startswith(UNRESOLVED):
+            warn(reason.removeprefix(UNRESOLVED))
 
 
 def validity(history: History, status: Sequence[str], statistics: Statistics) -> Tensor:

@@ -21,9 +21,9 @@ from dataclasses import dataclass, field, replace
 import torch
 
 from torchmbd.integrate.contacts import MOST_SUBSTEPS, UnresolvedContact
+from torchmbd.integrate.held_times import substeps_at
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult, Integrator, Steps
-from torchmbd.integrate.jumps import substeps_at
 from torchmbd.integrate.lane_status import (
     mark_doubts,
     mark_open_joints,

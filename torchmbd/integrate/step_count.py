@@ -21,9 +21,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.estimates import GOOD_STEP
+from torchmbd.integrate.held_times import held_times_of, steps_at
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
-from torchmbd.integrate.jumps import held_times_of, steps_at
 from torchmbd.integrate.lane_status import status_of_lanes
 from torchmbd.integrate.ode import fastest_vibration
 from torchmbd.integrate.statistics import TURN

@@ -2,7 +2,7 @@
 
 A difference of two samples that stays while its interval is halved again and again is a jump; what a slope explains is not
 part of it, as the differences beside it are taken off.
-Checked in tests/integrate/test_jumps.py.
+Checked in tests/diagnosis/test_jumps.py.
 """
 
 from __future__ import annotations

@@ -182,6 +182,13 @@ def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
     return changes
 
 
+def amounts(changes: Sequence[Temperature], times: Tensor, lanes: int) -> Float[Tensor, "lanes times changes"]:
+    """All changes at times [n] in the present design."""
+    rows = [x for force in changes for x in force.histories(times).values()]
+    none = torch.zeros(lanes, len(times), 0, dtype=torch.float64)
+    return torch.cat([none, *(x.expand(lanes, -1)[..., None] for x in rows)], -1)
+
+
 def _recovered(
     body: Any, psi: Tensor, changes: Sequence[Temperature], times: Tensor
 ) -> tuple[PlyBasis, Tensor | None, Tensor]:
@@ -189,19 +196,15 @@ def _recovered(
     lanes = len(psi)
     parts = [ply_basis(part.matrices, part.laminate, psi) for part in body.plates.values()]
     strain, stress = (torch.cat([x.expand(lanes, -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
-    held, coordinates = [], [psi.new_zeros(lanes, len(times), 0)]
+    held = []
     for force in changes:
-        for change, history in force.histories(times).items():
-            held.append(
-                torch.cat(
-                    [_held(force, key, part, change).expand(lanes, -1, -1) for key, part in body.plates.items()], 1
-                )
-            )
-            coordinates.append(history.expand(lanes, -1)[..., None])
+        for change in force.laws:
+            plates = [_held(force, key, part, change).expand(lanes, -1, -1) for key, part in body.plates.items()]
+            held.append(torch.cat(plates, 1))
     if held:
         columns = -torch.stack(held, -1)
         strain, stress = torch.cat([strain, torch.zeros_like(columns)], -1), torch.cat([stress, columns], -1)
-    return PlyBasis(strain, stress), _strength(body, lanes), torch.cat(coordinates, -1)
+    return PlyBasis(strain, stress), _strength(body, lanes), amounts(changes, times, lanes)
 
 
 def _held(force: Temperature, key: str, part: Any, change: str) -> Tensor:

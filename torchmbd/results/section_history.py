@@ -32,7 +32,7 @@ from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.fem.materials.strength import missing_strength
 from torchmbd.fem.sections import Section
 from torchmbd.multibody.forces.temperature import Temperature
-from torchmbd.results.ply_history import changes_of, of_plies, require_plies
+from torchmbd.results.ply_history import amounts, changes_of, of_plies, require_plies
 
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
@@ -228,14 +228,11 @@ def _recovered(
     beams: dict[str, Beams], psi: Tensor, changes: Sequence[Temperature], times: Tensor
 ) -> tuple[dict[str, _Part], Tensor]:
     """Recovery of all parts, and the changes [lanes, times, k], in the present design."""
-    histories = [(force, force.histories(times)) for force in changes]
-    named = [(change, force.zone) for force, history in histories for change in history]
-    rows = [x.expand(len(psi), -1) for _, history in histories for x in history.values()]
-    coordinates = torch.stack(rows, -1) if rows else psi.new_zeros(len(psi), len(times), 0)
+    named = [(change, force.zone) for force in changes for change in force.laws]
     parts = {}
     for key, part in beams.items():
         parts[key] = _part(part, psi, [(change, zone in (None, key)) for change, zone in named])
-    return parts, coordinates
+    return parts, amounts(changes, times, len(psi))
 
 
 def _part(beams: Beams, psi: Tensor, changes: Sequence[tuple[str, bool]]) -> _Part:

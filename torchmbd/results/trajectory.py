@@ -16,23 +16,51 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import one_of, true_or_false
+from torchmbd.errors import InputError, one_of, true_or_false
 from torchmbd.results.beam_motion import BeamMotion
 from torchmbd.results.body_motion import BodyMotion
 from torchmbd.results.energies import Energies, energies
 from torchmbd.results.motion_data import MotionData
 from torchmbd.results.reaction import JointReaction, reaction
-from torchmbd.results.response_error import ResponseError, response_error
+from torchmbd.results.response_error import ResponseError
 from torchmbd.results.singular_positions import SingularPosition, singular_positions
 from torchmbd.results.table import table
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+
+class Repeated(Protocol):
+    """How a motion is made again by finer models, and compared with them: `Repetition` (diagnosis/repetition.py)."""
+
+    @property
+    def steps(self) -> int: ...
+
+    @property
+    def multiple(self) -> int: ...
+
+    @property
+    def order(self) -> int | None: ...
+
+    @property
+    def has_equal_steps(self) -> bool: ...
+
+    def finer(self, factor: int) -> Trajectory: ...
+
+    def coarser(self) -> Trajectory | None: ...
+
+    def by_longer_steps(self, motion: Trajectory) -> Trajectory | None: ...
+
+    def richer(self, motion: Trajectory) -> Trajectory | None: ...
+
+    def with_finer_meshes(self, motion: Trajectory) -> Trajectory | None: ...
+
+    def error_of(self, motion: Trajectory, response: Any, modes: bool, mesh: bool) -> ResponseError: ...
 
 
 @dataclass(eq=False, repr=False)
@@ -48,9 +76,8 @@ class Trajectory(MotionData):
     ['tool x [m]', 'hinge torque z [N m]']
     """
 
-    repetition: Any = field(default=None, init=False, repr=False)  # integrate/repetition.py; None: a part of a motion
+    repetition: Repeated | None = field(default=None, init=False, repr=False)  # None: a part of a motion
     _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
-    _again: dict[Any, Trajectory | None] = field(default_factory=dict, init=False, repr=False)
 
     def body(self, name: str) -> Any:
         """The motion of one body (BodyMotion), or of one flexible beam (BeamMotion)."""
@@ -81,33 +108,11 @@ class Trajectory(MotionData):
             self._energies[mode] = energies(self)
         return self._energies[mode]
 
-    def finer(self, factor: int) -> Trajectory:
-        """The same motion with 2 or 4 times the steps (Repetition.finer), values only; it is kept for other responses."""
-        return self._kept(factor, lambda: self.repetition.finer(factor))
-
-    def coarser(self) -> Trajectory | None:
-        """The same motion with half the number of steps, kept too; None for adaptive methods and odd numbers of steps."""
-        return self._kept(0.5, self.repetition.coarser)
-
-    def by_longer_steps(self) -> Trajectory | None:
-        """The same motion with steps 2.3 times as long; None for an adaptive method, and if there are too few steps."""
-        longer = self._kept("longer", self.repetition.by_longer_steps)
-        if longer is not None:
-            longer._again[2] = self
-        return longer
-
-    def richer(self) -> Trajectory | None:
-        """The same motion with more modes (integrate/repetition.py), kept too; None if the bodies do not have more modes."""
-        return self._kept("modes", lambda: self.repetition.richer(self))
-
-    def with_finer_meshes(self) -> Trajectory | None:
-        """The same motion with finer meshes, kept too; None if no mesh can be refined."""
-        return self._kept("mesh", lambda: self.repetition.with_finer_meshes(self))
-
-    def _kept(self, key: Any, make: Callable[[], Any]) -> Any:
-        if key not in self._again:
-            self._again[key] = make()
-        return self._again[key]
+    def require_repetition(self) -> Repeated:
+        """How this motion is made again; InputError for a part of a motion."""
+        if self.repetition is None:
+            raise InputError("motion", allowed="the motion that simulate returns", state="is a part of another")
+        return self.repetition
 
     def error_of(self, response: Callable[[Any], Tensor], *, modes: bool = True, mesh: bool = True) -> ResponseError:
         """Estimated errors of a measure. The motion is simulated again with half the step, and if necessary with twice or a
@@ -117,7 +122,9 @@ class Trajectory(MotionData):
         modes, mesh   whether the errors by the modes and by the meshes of flexible bodies are estimated
         Raises InputError for a history, and for a method of fixed steps of torchdiffeq.
         """
-        return response_error(self, response, true_or_false("modes", modes), true_or_false("mesh", mesh))
+        return self.require_repetition().error_of(
+            self, response, true_or_false("modes", modes), true_or_false("mesh", mesh)
+        )
 
     def singular_positions(self) -> list[SingularPosition]:
         """Positions near to the motion at which its constraints lose rank, with their times."""

@@ -37,6 +37,7 @@ from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.verification import advice
 from torchmbd.design.words import words
+from torchmbd.diagnosis.truncation import static_truncation
 from torchmbd.errors import MbdError
 from torchmbd.integrate import Trajectory
 from torchmbd.optimization.multistart.workers import LANES
@@ -315,7 +316,7 @@ def _over_scenarios(problem: Problem) -> str:
 def _print_truncation(problem: Problem, console: Console) -> None:
     """Print the error of the retained modes, if the system checks it."""
     limit = problem.system.truncation
-    truncation = None if limit is None else problem.system.static_truncation()
+    truncation = None if limit is None else static_truncation(problem.system)
     if limit is None or truncation is None:
         return
     small = f"make joints and forces {100 * max(truncation.share, 0.0):.1g} % too stiff at most"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from itertools import pairwise
 
@@ -336,3 +337,33 @@ def test_each_component_has_its_strengths_in_tension_and_compression(component, 
         cycles = Cycles(*(torch.tensor([x], dtype=torch.float64) for x in (20.0, mean, 1.0)))
         damage = rule.of_cycles(cycles, component, strength)
         assert float(damage) == pytest.approx((10.0 / allowable) ** 3, rel=1e-12)
+
+
+@pytest.mark.thorough
+def test_a_free_laminate_that_warms_and_cools():
+    """Residual stresses of [0/90]s alternate: five whole cycles of the closed form; and the gradient on an unbalanced stack."""
+    ply = dataclasses.replace(mbd.examples.carbon(), alpha1=-0.3e-6, alpha2=28e-6)
+    ground, mesh = mbd.Ground(), mbd.mesh.rectangle(0.2, 0.1, (2, 2))
+
+    def damage_of(stack: list[float]) -> tuple[torch.Tensor, mbd.Laminate, torch.nn.Parameter]:
+        laminate, size = mbd.Laminate(ply, mbd.deg(stack), 0.25e-3, symmetric=True), mbd.variable(100.0)
+        body = mbd.FlexibleBody.plate("panel", mesh, laminate, 2, reference=0, expansion=True, damping=1e-5)
+        body.position.copy_(body.origin)
+        heat = mbd.Temperature(body, mbd.forces.Scaled(size, lambda t: torch.cos(10.0 * math.pi * t)), name="heat")
+        hold = mbd.Fixed(ground.at(*body.origin.tolist()), body.at(0))
+        system = mbd.System([body], [hold], [heat], truncation=None)
+        motion = mbd.simulate(system, 1.0, steps=40, backend="eager", start="equilibrium")
+        return FatigueDamage("panel", exponent={"22": 10.0})(motion), laminate, size
+
+    total, laminate, size = damage_of([0, 90])
+    stress = laminate.expansion(temperature=100.0).stress[..., 1].abs().max()
+    _, _, Yt, Yc = ply.strength.numbers()[:4]
+    expected = 5.0 * (stress / (0.5 * (Yt + Yc - (Yc - Yt)))) ** 10
+    assert float(total.detach()) == pytest.approx(float(expected.detach()), rel=1e-3)
+    total, laminate, size = damage_of([10, 70])
+    total.sum().backward()
+    assert laminate.angles.grad is not None
+    assert size.grad is not None
+    assert float(size.grad) == pytest.approx(10.0 * float(total.detach()) / 100.0, rel=1e-5)
+    ends = [float(damage_of([10 + h, 70])[0].detach()) for h in (0.02, -0.02)]
+    assert float(laminate.angles.grad[0]) == pytest.approx((ends[0] - ends[1]) / math.radians(0.04), rel=1e-5)

@@ -39,11 +39,12 @@ def test_six_freedoms_for_each_interface():
 
 
 def left_out(body: mbd.FlexibleBody) -> float:
-    """Of the static flexibility of the mesh at the frames of both edges (multibody/system/truncation.py)."""
+    """Of the static flexibility of the mesh at the frames of both edges (diagnosis/truncation.py)."""
     frames = mbd.Ground().at(-LENGTH / 2, 0, 0), body.at("left_edge")
     tool = mbd.RigidBody("tool", 0.5, (1e-3, 1e-3, 1e-3))
     joints = [mbd.Fixed(*frames), mbd.Fixed(body.at("right_edge"), tool.at())]
-    result = mbd.System([body, tool], joints, [mbd.Force(body.at("right_edge"), (0.0, 0.0, 1.0))]).static_truncation()
+    system = mbd.System([body, tool], joints, [mbd.Force(body.at("right_edge"), (0.0, 0.0, 1.0))])
+    result = mbd.static_truncation(system)
     assert result is not None
     return result.share
 

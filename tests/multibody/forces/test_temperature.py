@@ -15,7 +15,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import tensor
 from tests.refused import refused
-from torchmbd.multibody.system.truncation import StaticTruncation, warn_static_truncation
+from torchmbd.diagnosis.truncation import StaticTruncation, warn_static_truncation
 from torchmbd.results.ply_history import changes_of
 
 GROUND = mbd.Ground()
@@ -382,7 +382,7 @@ def test_modes_without_the_shape_are_reported():
         body = mbd.FlexibleBody.plate("panel", mesh, laminate, 3, reference="left", expansion=expansion)
         hold = mbd.Fixed(GROUND.at(-0.1, 0, 0), body.at("left"))
         body.position.copy_(tensor(-0.1, 0.0, 0.0))
-        truncation = mbd.System([body], [hold], [mbd.Temperature(body, 10.0)]).static_truncation()
+        truncation = mbd.static_truncation(mbd.System([body], [hold], [mbd.Temperature(body, 10.0)]))
         assert isinstance(truncation, StaticTruncation)
         shares.append(truncation.share)
         if not expansion:
@@ -521,18 +521,9 @@ def test_bad_changes_are_named():
             assert word in str(error.value), str(error.value)
 
 
-@pytest.mark.extensions
-def test_what_does_not_know_temperatures_refuses_them():
-    strength = mbd.examples.carbon().strength
-    ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, strength, 0.0, -0.3e-6, 28e-6)
-    body = strip(mbd.Laminate(ply, mbd.deg([0, 90]), 0.125e-3))
+def test_stresses_need_one_law_for_the_whole_motion():
+    body = strip(mbd.Laminate(CARBON, mbd.deg([0, 90]), 0.125e-3))
     system = held(body, mbd.Temperature(body, lambda t: torch.sin(t), name="heat"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        motion = mbd.simulate(system, 0.01, steps=4, backend="eager")
-    for response in (mbd.FatigueDamage("strip", exponent=10.0), mbd.Max(mbd.BucklingIndex("strip"))):
-        with pytest.raises(mbd.InputError, match="'heat' changes its temperature"):
-            response(motion)
     phases = [mbd.Phase(until=0.005), mbd.Phase(laws={"heat": mbd.forces.OfTime(1.0)})]
     with_phases = mbd.simulate(system, 0.01, steps=4, phases=phases, backend="eager")
     with pytest.raises(mbd.InputError, match="'heat', for which a phase of this motion has another law"):

@@ -1,4 +1,5 @@
-"""Loads on a flexible body along a motion, in its axes: of its inertia as a rigid body, of gravity, and of joints and forces.
+"""Loads on a flexible body along a motion, in its axes: of its inertia as a rigid body, of gravity, of joints and
+forces, and of changes of temperature and moisture.
 
 Joints and forces act on attached vectors (system/equations.py). Those of frames on the same node, or on the same mean of
 several nodes (an InterpolationConstraint), add up to a force and a moment at its center.
@@ -18,12 +19,13 @@ from torchmbd.errors import InputError
 from torchmbd.math.pair import matvec_t, value
 from torchmbd.math.rotation import skew
 from torchmbd.multibody.bodies import FlexibleBody
+from torchmbd.multibody.bodies.expansion import Load
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.system import System
 from torchmbd.results.body_motion import BodyMotion
 from torchmbd.results.motion_data import MotionData
-from torchmbd.results.ply_history import changes_of
+from torchmbd.results.ply_history import amounts, changes_of
 from torchmbd.results.reaction import at_times, in_lanes, placement_at_times
 
 
@@ -33,10 +35,12 @@ class BodyLoads(NamedTuple):
     inertia        minus the acceleration field u + Z x of the undeformed body, less gravity, as factors of the twelve unit
                    loads of inertia (bodies/stiffening.py) [lanes, times, 12]
     concentrated   force [N] and moment [N m] at each of the `interpolations` of the body [lanes, times, interpolations, 6]
+    changes        amounts of the `changes` of temperature and moisture of the body [lanes, times, changes]
     """
 
     inertia: Float[Tensor, "lanes times 12"]
     concentrated: Float[Tensor, "lanes times interpolations 6"]
+    changes: Float[Tensor, "lanes times changes"]
 
 
 def interpolations(system: System, body: FlexibleBody) -> list[InterpolationConstraint]:
@@ -46,13 +50,7 @@ def interpolations(system: System, body: FlexibleBody) -> list[InterpolationCons
 
 
 def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
-    """The loads on one body. Raises InputError where phases of the motion have laws of forces of their own, and where its
-    temperature or moisture changes."""
-    if changes := changes_of(motion, body):
-        raise InputError(
-            f"loads on {body.name!r}: {changes[0].name!r} changes its temperature, whose stress is not part of buckling "
-            "along a motion yet. Try: stiffening=True and the frequencies of mbd.equilibrium"
-        )
+    """The loads on one body. Raises InputError where phases of the motion have laws of forces of their own."""
     laws = [law for kind in motion.system.topology.actions for law in kind.laws]
     for kinds in motion.actions:  # of each phase
         phase_laws = [law for kind in kinds for law in kind.laws]
@@ -63,7 +61,14 @@ def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
                 state="have laws of forces of their own",
                 noun=f"loads on {body.name!r}: phases of this motion",
             )
-    return BodyLoads(_inertia(motion, body), _concentrated(motion, body))
+    of_body = changes_of(motion, body)
+    grown = motion.of_designs(lambda: amounts(of_body, motion.t, motion.lanes))
+    return BodyLoads(_inertia(motion, body), _concentrated(motion, body), grown)
+
+
+def changes(motion: MotionData, body: FlexibleBody) -> list[Load]:
+    """Zone and kind of each change of temperature and moisture of a body."""
+    return [(force.zone, change) for force in changes_of(motion, body) for change in force.laws]
 
 
 def _inertia(motion: MotionData, body: FlexibleBody) -> Tensor:

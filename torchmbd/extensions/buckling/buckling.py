@@ -3,7 +3,8 @@
     K u = f,      (K + factor Kg(u)) shape = 0
 
 K, Kg     stiffness and geometric stiffness (fem/elements/geometric.py) on the degrees of freedom without supports
-u         displacements under the loads and the displacements of supports; supports do not move in buckling
+u         displacements under the loads and the displacements of supports; supports do not move in buckling. A change of
+          temperature or moisture adds the loads of its free strains, whose stress Kg does not have (expansion_loads.py)
 1/factor  are eigenvalues of -Kg shape = (1/factor) K shape, so the factors of loads that only stiffen are infinite
 
 Factors are differentiable, forward and reverse, in every parameter of the body, through K, u and Kg. Where factors coincide
@@ -25,6 +26,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.extensions.buckling.eigenproblem import eigenproblem
+from torchmbd.extensions.buckling.expansion_loads import Changes, ExpansionLoads
 from torchmbd.extensions.buckling.nodal_loads import Loads, NodalLoads
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.checked_numbers import is_whole
@@ -57,7 +59,13 @@ class Buckling(NamedTuple):
     status: str
 
 
-def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None, number: int = 1) -> Buckling:
+def buckling(
+    body: FlexibleBody,
+    loads: Loads,
+    supports: Supports | None = None,
+    number: int = 1,
+    changes: Changes | None = None,
+) -> Buckling:
     """Find the lowest positive factors of loads at which a body buckles; differentiable with respect to its parameters.
 
     body      a FlexibleBody
@@ -66,6 +74,8 @@ def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None,
     supports  nodes -> supported degrees of freedom, as "u1 u3 phi2", or "all"; or six numbers, imposed displacements and
               rotations [m, rad], None for a free one. None: the reference nodes of the body are clamped
     number    of factors
+    changes   of temperature or moisture that grow with the loads: kind -> amount, or kind -> zone -> amount. Kinds:
+              "temperature" [K], "gradient", "gradient_y" [K/m], "moisture" [-], as in mbd.Temperature. Zones: parts of the body
     Raises InputError if arguments are wrong, or if the supports leave a rigid-body motion free.
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
@@ -76,26 +86,29 @@ def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None,
     >>> round((1000.0 * found.factors[0] / euler).item(), 2)  # shear
     1.0
     """
-    return outside_transforms(lambda: BucklingCase(body, loads, supports))(number)
+    return outside_transforms(lambda: BucklingCase(body, loads, supports, changes))(number)
 
 
 class BucklingCase:
     """A body with loads and supports, ready to find its buckling factors in any design: `case(number)`.
 
-    body, loads, supports as in `buckling`. Raises InputError where these are wrong.
+    body, loads, supports, changes as in `buckling`. Raises InputError where these are wrong.
     """
 
-    def __init__(self, body: FlexibleBody, loads: Loads, supports: Supports | None = None) -> None:
+    def __init__(
+        self, body: FlexibleBody, loads: Loads, supports: Supports | None = None, changes: Changes | None = None
+    ) -> None:
         self.body = body
         self.supported = supported = SupportedBody(body, supports)
         self.loads = NodalLoads(body.mesh, body.name, loads)
+        self.changes = ExpansionLoads(body, changes or {})
         self._imposed = supported.imposed
         self._has_imposed = bool(self._imposed.any())
-        if not self.loads.any and not self._has_imposed:
+        if not (self.loads.any or self._has_imposed or len(self.changes.amounts)):
             raise InputError(
                 (body.name, "loads"),
                 loads,
-                "at least one force, or an imposed displacement",
+                "at least one force, or an imposed displacement, or a change of temperature or moisture",
                 state="are zero",
             )
         self._static = StaticLoads(supported.pattern)
@@ -113,12 +126,16 @@ class BucklingCase:
         inner = supported.restricted(K)
         forces = assembly.freedoms.gathered(self.loads()[..., None])
         forces = forces - K @ self._imposed if self._has_imposed else forces
+        free = assembly.freedoms.gathered(self.changes.forces())
+        lanes = np.broadcast_shapes(forces.shape[:-2], free.shape[:-2])
+        forces = torch.cat([x.expand(*lanes, *x.shape[-2:]) for x in (forces, free)], -1)
         try:
             u = self._static(inner, forces[..., supported.kept, :])
         except InputError as error:
             raise supported.movable(error) from None
-        displacements = supported.motion(u, self._imposed)
-        Kg = supported.geometric(displacements)[..., 0, :]
+        imposed = torch.nn.functional.pad(self._imposed, (0, len(self.changes.amounts)))
+        states, share = supported.motion(u, imposed), torch.tensor([1.0, *self.changes.amounts], dtype=u.dtype)
+        Kg = share @ supported.geometric(states, self.changes.parts)
         lanes = np.broadcast_shapes(inner.values.shape[:-1], Kg.shape[:-1])
         inverse, vectors = eigenproblem(
             supported.pattern, inner.values.expand(*lanes, -1), Kg.expand(*lanes, -1), number
@@ -126,7 +143,7 @@ class BucklingCase:
         factors, shapes = reciprocal(inverse), supported.shapes(vectors.detach())
         buckles = torch.isfinite(factors)
         status = "ok" if all_true(buckles) else "no buckling: the loads stiffen the body in all further shapes"
-        return Buckling(factors, shapes * buckles[..., None, None, :], displacements[..., 0], status)
+        return Buckling(factors, shapes * buckles[..., None, None, :], states @ share, status)
 
 
 def reciprocal(inverse: Float[Tensor, "*lanes"]) -> Float[Tensor, "*lanes"]:

@@ -27,7 +27,7 @@ from torchmbd.math.digest import digest
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.system import System
 
-# Body -> digest of loads and supports.
+# Body -> digest of loads, supports and changes.
 _CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = WeakKeyDictionary()
 
 
@@ -36,10 +36,11 @@ class BucklingFactor(Measure):
     """Buckling factor [lanes] [-] of a body: for static loads (mbd.buckling), or the smallest factor along the motion.
 
     body      its name
-    loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total; None: the stress of the motion, 1 over
-              the peak of BucklingIndex
+    loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total; None without changes: the stress of the
+              motion, 1 over the peak of BucklingIndex
     supports  nodes -> degrees of freedom that are held, as "u1 u3", or imposed; None: the reference nodes
     number    1 is the lowest
+    changes   of temperature or moisture that grow with the loads, as in `buckling`; loads may then be None for none
     If several factors are equal, the gradient is their mean gradient, as for `Frequency`.
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
@@ -57,29 +58,35 @@ class BucklingFactor(Measure):
     loads: Mapping[Any, Sequence[float]] | None = None
     supports: Mapping[Any, str | Sequence[float | None]] | None = None
     number: int = 1
+    changes: Mapping[str, float | Mapping[str, float]] | None = None
 
     def check(self, system: System) -> None:
         if not is_whole(self.number) or self.number < 1:
             raise InputError("number", self.number, "1, 2, ...")
-        if self.loads is None:
+        if self._of_motion:
             self._peak.check(system)
         else:
-            self._case(system, self.loads)
+            self._case(system)
 
     def value(self, motion: Trajectory) -> Tensor:
-        if self.loads is None:
+        if self._of_motion:
             return reciprocal(self._peak.value(motion))
-        case = self._case(motion.system, self.loads)
+        case = self._case(motion.system)
         factors = motion.of_designs(lambda: case(self.number).factors)
         return factors[..., -1].expand(len(motion.q))
+
+    @property
+    def _of_motion(self) -> bool:
+        return self.loads is None and self.changes is None
 
     @property
     def _peak(self) -> Max:
         return Max(BucklingIndex(self.body, self.supports, self.number))
 
-    def _case(self, system: System, loads: Mapping[Any, Sequence[float]]) -> BucklingCase:
+    def _case(self, system: System) -> BucklingCase:
         body = flexible_body(system, self.body)
-        cases, key = _CASES.setdefault(body, {}), digest(loads, self.supports)
+        cases, key = _CASES.setdefault(body, {}), digest(self.loads, self.supports, self.changes)
         if key not in cases:
-            cases[key] = outside_transforms(lambda: BucklingCase(body, loads, self.supports))
+            loads = {} if self.loads is None else self.loads
+            cases[key] = outside_transforms(lambda: BucklingCase(body, loads, self.supports, self.changes))
         return cases[key]

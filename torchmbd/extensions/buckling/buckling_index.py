@@ -3,8 +3,8 @@
     Max(BucklingIndex("rod", supports)) <= 0.5         half of what makes it buckle, at most
 
 The index is 1 / buckling factor of the stress at that time: of the retained modes as they move, and of the static
-displacements that inertia, gravity, joints and forces make besides (unit_loads.py). Where it is one, the body
-buckles on its supports under loads that stay as they are.
+displacements that inertia, gravity, joints, forces and changes of temperature make besides (unit_loads.py). Where it is
+one, the body buckles on its supports under loads that stay as they are.
 Assumed: as in `buckling`; inertia of the bent body beyond what the retained modes feel is small against that of the
 undeformed. Checked in tests/contracts/test_responses.py, tests/extensions/buckling/test_buckling_index.py.
 """
@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torchmbd.design.histories import flexible_body
 from torchmbd.design.response import History
 from torchmbd.errors import InputError
-from torchmbd.extensions.buckling.body_loads import body_loads, interpolations
+from torchmbd.extensions.buckling.body_loads import body_loads, changes, interpolations
 from torchmbd.extensions.buckling.buckling_series import BucklingSeries
 from torchmbd.extensions.buckling.unit_loads import UnitLoads
 from torchmbd.integrate import Trajectory
@@ -66,12 +66,12 @@ class BucklingIndex(History):
     def values(self, motion: Trajectory) -> Tensor:
         system, view = motion.system, motion.body(self.body)
         series, body = self._series(system), flexible_body(system, self.body)
-        loads = body_loads(motion, body)
-        unit = outside_transforms(lambda: UnitLoads(body, interpolations(system, body)))
+        loads, of_body = body_loads(motion, body), changes(motion, body)
+        unit = outside_transforms(lambda: UnitLoads(body, interpolations(system, body), of_body))
         parameters = {name: x.detach() for name, x in system.named_parameters()} | motion.designs
         designs = {f"system.{name}": x for name, x in parameters.items()}
         # Amplitudes of modes and static displacements.
-        c = torch.cat([view.w, loads.inertia, loads.concentrated.flatten(2)], -1)
+        c = torch.cat([view.w, loads.inertia, loads.concentrated.flatten(2), loads.changes], -1)
         index = call_module(_Index(system, series, unit, self.number), designs, view.psi, view.stiffness[0], c)
         return index[..., -1]
 
@@ -99,4 +99,5 @@ class _Index(nn.Module):
 
     def forward(self, psi: Tensor, Kr: Tensor, c: Tensor) -> Tensor:
         displacements = torch.cat([psi, self.unit(psi, Kr)], -1)
-        return self.series(displacements, c, self.number)
+        parts = [self.unit.body.expansion.changing(*change) for change in self.unit.changes]
+        return self.series(displacements, c, self.number, parts)

@@ -26,11 +26,10 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, warn
 from torchmbd.extensions.buckling.eigenproblem import GUARD, NONE, inverse_factors, lowest_vectors
-from torchmbd.fem.elements.geometric import projected_geometric_stiffness
 from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
-from torchmbd.multibody.statics.supported_body import SupportedBody, Supports
+from torchmbd.multibody.statics.supported_body import Changes, SupportedBody, Supports
 
 # Largest residual in the norm of K^-1, as a share of the largest index. In the motion of a plate values had errors of 1e-9,
 # derivatives of 1e-7.
@@ -61,12 +60,17 @@ class BucklingSeries:
         self._static = StaticLoads(self.supported.pattern)
 
     def __call__(
-        self, displacements: Float[Tensor, "lanes n 6 k"], c: Float[Tensor, "lanes times k"], number: int = 1
+        self,
+        displacements: Float[Tensor, "lanes n 6 k"],
+        c: Float[Tensor, "lanes times k"],
+        number: int = 1,
+        changes: Changes = (),
     ) -> Float[Tensor, "lanes times number"]:
         """The largest indices, descending; zero where the stress only stiffens, nan where c is not finite.
 
         displacements   of all nodes, whose stresses are the k stress states
         c               factors of the states at each time
+        changes         of the last displacements, as in `SupportedBody.geometric`
         Raises InputError where the supports leave the body movable, or number is not possible.
         """
         supported, lanes = self.supported, len(c)
@@ -79,10 +83,10 @@ class BucklingSeries:
         K = supported.restricted(supported.assembly.stiffness())
         K = SparseMatrix(K.pattern, K.values.expand(lanes, -1), symmetric=True)
         with torch.no_grad():
-            Kg = supported.geometric(displacements).expand(lanes, -1, -1)
+            Kg = supported.geometric(displacements, changes).expand(lanes, -1, -1)
         V, y, scale = _Basis.apply(self, number, K.values, Kg, c)
         a = V.mT @ (K @ V)
-        B = projected_geometric_stiffness(supported.assembly.stressed(displacements), supported.motion(V))
+        B = supported.projected_geometric(displacements, changes, supported.motion(V))
         b = torch.einsum("ltk,lkij->ltij", c, B.expand(lanes, -1, -1, -1))
         a, b = (y.mT @ x @ y for x in (a[:, None], b))
         index = inverse_factors(a, b)[..., :number]

@@ -31,9 +31,10 @@ from torchmbd.extensions.fatigue.sn_curve import SNCurve, power_law_damage
 from torchmbd.fem.materials import PLY_COMPONENTS
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import scalar
+from torchmbd.math.forward_mode import jvp
 from torchmbd.multibody.system import System
 from torchmbd.results.lane_motion import has_lane_times, lane_motion
-from torchmbd.results.ply_history import PlyHistory, changes_of
+from torchmbd.results.ply_history import PlyHistory, amounts, changes_of
 from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 
 # Indices of the strengths in tension and compression of each component in Strength.numbers().
@@ -210,13 +211,9 @@ def _curve_damage(cycles: Cycles, curve: SNCurve) -> Tensor:
 
 
 def _stresses(motion: Trajectory, name: str) -> list[tuple[Tensor, Tensor | None]]:
-    """Stresses of the modes [lanes, points, 5, modes] and strengths [lanes, points, 8] at ply points of plates and of beams."""
+    """Stresses by coordinates [lanes, points, 5, coordinates] and strengths [lanes, points, 8] at ply points of plates and of
+    beams. Coordinates are those of the modes, and changes of temperature and moisture behind them."""
     body = motion.system.body(name)
-    if changes := changes_of(motion, body):
-        raise InputError(
-            f"damage of {name!r}: {changes[0].name!r} changes its temperature, whose stresses are not counted yet; "
-            "must be a motion without it"
-        )
     parts: list[tuple[Tensor, Tensor | None]] = []
     if getattr(body, "plates", None):
         plies = PlyHistory(motion, name)
@@ -231,23 +228,40 @@ def _worst_damage(basis: Tensor, strengths: Tensor | None, rule: FatigueDamage, 
     """Damage [lanes] at the point and in the component where it is largest; arguments as in `_stresses`."""
     lanes = torch.arange(motion.lanes)
     with torch.no_grad():
-        component, point = _worst_points(basis, _modal_coordinates(motion, rule.body), strengths, rule)
+        component, point = _worst_points(basis, _coordinates_of_lanes(motion, rule.body), strengths, rule)
     stress = basis[lanes, point, component]
 
     def samples(part: Trajectory, of_lanes: slice) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-        view = part.body(rule.body)
-        y, rate, second_rate = (torch.einsum("ltm,lm->lt", x, stress[of_lanes]) for x in (view.w, view.wd, view.wdd))
+        coordinates = _coordinates(part, rule.body)
+        y, rate, second_rate = (torch.einsum("ltm,lm->lt", x, stress[of_lanes]) for x in coordinates)
         return y, (rate, second_rate)
 
     cycles = rainflow(curve_of(motion, samples).extremes())
     return _damages(cycles, component, None if strengths is None else strengths[lanes, point], rule)
 
 
-def _modal_coordinates(motion: Trajectory, body: str) -> Tensor:
-    """At all times of the lanes [lanes, times, modes]; the last ones repeated where others have more."""
+def _coordinates(motion: Trajectory, name: str) -> tuple[Tensor, Tensor, Tensor]:
+    """Coordinates of the stresses with their first and second derivative by time [lanes, times, coordinates]."""
+    view, changes = motion.body(name), changes_of(motion, motion.system.body(name))
+
+    def values(times: Tensor) -> Tensor:
+        return amounts(changes, times, motion.lanes)
+
+    def rates(times: Tensor) -> tuple[Tensor, Tensor]:
+        return jvp(values, (times,), (torch.ones_like(times),))
+
+    of_changes = motion.of_designs(lambda: jvp(rates, (motion.t,), (torch.ones_like(motion.t),)))
+    (x, rate), (_, second_rate) = of_changes
+    of_modes = (view.w, view.wd, view.wdd)
+    w, wd, wdd = (torch.cat(pair, -1) for pair in zip(of_modes, (x, rate, second_rate), strict=True))
+    return w, wd, wdd
+
+
+def _coordinates_of_lanes(motion: Trajectory, body: str) -> Tensor:
+    """At all times of the lanes [lanes, times, coordinates]; the last ones repeated where others have more."""
     if not has_lane_times(motion):
-        return motion.body(body).w
-    parts = [lane_motion(motion, lane).motion.body(body).w[0] for lane in range(motion.lanes)]
+        return _coordinates(motion, body)[0]
+    parts = [_coordinates(lane_motion(motion, lane).motion, body)[0][0] for lane in range(motion.lanes)]
     most = max(len(w) for w in parts)
     return torch.stack([torch.cat([w, w[-1:].expand(most - len(w), -1)]) for w in parts])
 

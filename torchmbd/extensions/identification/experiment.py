@@ -15,11 +15,12 @@ from torchmbd.design.scenario_settings import settings_of
 from torchmbd.errors import DesignFailure, InputError, argument_names
 from torchmbd.extensions.identification.measurement import Limits, Measurement
 from torchmbd.extensions.identification.run import Run
-from torchmbd.integrate import Phase, Simulation
+from torchmbd.integrate import Phase
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.math.checked_numbers import list_of, positive
 from torchmbd.multibody.system import System
+from torchmbd.simulation import Simulation
 from torchmbd.summary import Summary
 
 

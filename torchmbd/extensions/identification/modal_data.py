@@ -29,12 +29,12 @@ from torchmbd.extensions.identification.measurement import Block, Limits, Measur
 from torchmbd.extensions.identification.run import Run
 from torchmbd.extensions.vibrations.eigenvalues import NATURAL, POLES
 from torchmbd.extensions.vibrations.spectrum import SWINGS
-from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.math.checked_numbers import is_whole, positive
 from torchmbd.multibody.system import System
 from torchmbd.optimization.optimizer import require_range
 from torchmbd.results.motion_data import OK
 from torchmbd.results.time_rows import TensorSignals
+from torchmbd.simulation.equilibrium import Equilibrium
 
 LEAST_MAC = 0.5  # below, two shapes are not taken for the same mode
 OPTIONS = ("times", "spin", "center", "observer", "follow", "unstable")  # of `equilibrium`

@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.differentiate import ValueAndGradient, differentiate, push_forward
-from torchmbd.integrate import Simulation, Trajectory
-from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
+from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
+from torchmbd.simulation import Simulation
+from torchmbd.simulation.equilibrium import Equilibrium, equilibrium
 
 
 @dataclass(eq=False)

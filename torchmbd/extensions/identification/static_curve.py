@@ -24,9 +24,9 @@ from torchmbd.extensions.identification.channel import Channel, channels_of
 from torchmbd.extensions.identification.measurement import Block, Measurement, Prediction, number_of
 from torchmbd.extensions.identification.run import Run
 from torchmbd.extensions.identification.table import Table
-from torchmbd.integrate.equilibrium import equilibrium
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
+from torchmbd.simulation.equilibrium import equilibrium
 
 
 class StaticCurve(Measurement):

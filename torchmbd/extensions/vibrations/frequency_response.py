@@ -26,13 +26,13 @@ from torchmbd.extensions.vibrations.inner_products import Vectors, inner, inner_
 from torchmbd.extensions.vibrations.linear_system import link_of_ports
 from torchmbd.extensions.vibrations.port_functions import PortFunctions, Ports
 from torchmbd.extensions.vibrations.spectrum import Spectrum
-from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.pullback import leaf
 from torchmbd.multibody.equilibrium.linearized import Linearization
 from torchmbd.multibody.equilibrium.steady_rotation import SteadyRotation
 from torchmbd.multibody.saddle.rank import RELATIVE
 from torchmbd.multibody.system import Dynamics
+from torchmbd.simulation.equilibrium import Equilibrium
 
 QUANTITIES = ("displacement", "velocity", "acceleration")  # an output and its rates, in the order of `Responses.order`
 

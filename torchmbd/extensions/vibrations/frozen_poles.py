@@ -14,10 +14,10 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.extensions.vibrations.eigenvalues import poles_of_matrices
 from torchmbd.extensions.vibrations.moving_state import MovingLinearization, time_index
-from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.math.module_call import exclusive, outside_transforms
 from torchmbd.multibody.equilibrium.linearized import factored_inertia
 from torchmbd.results.trajectory import Trajectory
+from torchmbd.simulation.equilibrium import Equilibrium
 
 
 @exclusive

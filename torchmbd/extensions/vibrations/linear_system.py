@@ -24,7 +24,6 @@ from torch import Tensor
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.extensions.vibrations.moving_state import MovingLinearization, time_index
 from torchmbd.extensions.vibrations.port_functions import PortFunctions, Ports
-from torchmbd.integrate.equilibrium import Equilibrium, equilibrium
 from torchmbd.math.checked_numbers import is_whole, list_of, reals
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.equations import equations
@@ -36,6 +35,7 @@ from torchmbd.multibody.forces.signals import Actuator, Signal, Time
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import has_failed
 from torchmbd.results.trajectory import Trajectory
+from torchmbd.simulation.equilibrium import Equilibrium, equilibrium
 
 _PORTS = "inputs and outputs"
 _BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium

@@ -18,7 +18,6 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.extensions.vibrations.eigenvalues import Choice, eigenvalues
 from torchmbd.integrate.arguments import checked_designs, start_of
-from torchmbd.integrate.equilibrium import StaticIntegration
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.variables import lanes_of_batch, variable_names
 from torchmbd.math.checked_numbers import differentiable_reals, reals
@@ -29,6 +28,7 @@ from torchmbd.multibody.equilibrium.equilibrium import SPIN
 from torchmbd.multibody.equilibrium.linearized import Linearization
 from torchmbd.multibody.equilibrium.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.system import Dynamics, System
+from torchmbd.simulation.equilibrium import StaticIntegration
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from torchmbd.errors import warn
 from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion, ReducedEntries
 from torchmbd.fem.elements.geometric import StressedCells, assembled_geometric_stiffness
 from torchmbd.fem.elements.links import Follower
-from torchmbd.fem.elements.part import LosingPart, MassPoints, Part
+from torchmbd.fem.elements.part import ExpandingPart, LosingPart, MassPoints, Part
 from torchmbd.math.rigid_motion import hat
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
@@ -143,21 +143,36 @@ class Assembly:
                 values.append(torch.zeros(len(entries.source), dtype=torch.float64))
         return self._joined(values)
 
-    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
-        """Cells of all parts under the stress of k motions of all nodes (geometric.py)."""
-        return [cells for part in self.parts.values() for cells in part.stressed(motion)]
+    def stressed(
+        self, motion: Float[Tensor, "*lanes n 6 k"], changes: Mapping[str, str] | None = None
+    ) -> list[StressedCells]:
+        """Cells of all parts under the stress of k motions of all nodes (geometric.py).
 
-    def geometric(self, motion: Float[Tensor, "*lanes n 6 k"]) -> SparseMatrix:
-        """Geometric stiffness of the free degrees of freedom, stressed by k motions of all nodes, lanes [*lanes, k]."""
+        changes   part -> kind of change (part.py): the stress of its free strains by a unit change is subtracted
+        """
+        return [cells for name in self.parts for cells in self._stressed_part(name, motion, changes or {})]
+
+    def geometric(
+        self, motion: Float[Tensor, "*lanes n 6 k"], changes: Mapping[str, str] | None = None
+    ) -> SparseMatrix:
+        """Geometric stiffness of the free degrees of freedom, stressed by k motions of all nodes, lanes [*lanes, k]; changes
+        as in `stressed`."""
         k = motion.shape[-1]
         values = []
-        for part, entries in self._sources:
-            cells = part.stressed(motion)
+        for (part, entries), name in zip(self._sources, self.parts, strict=True):
+            cells = self._stressed_part(name, motion, changes or {})
             whole = (
                 assembled_geometric_stiffness(part.pattern, cells) if cells else motion.new_zeros(k, part.pattern.nnz)
             )
             values.append(whole[..., entries.source])
         return self._joined(values)
+
+    def _stressed_part(self, name: str, motion: Tensor, changes: Mapping[str, str]) -> list[StressedCells]:
+        part = self.parts[name]
+        if name not in changes:
+            return part.stressed(motion)
+        assert isinstance(part, ExpandingPart)
+        return part.stressed(motion, changes[name])
 
     @property
     def _sources(self) -> list[tuple[Part, ReducedEntries]]:

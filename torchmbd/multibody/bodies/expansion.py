@@ -23,9 +23,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, one_of, warn, within
+from torchmbd.errors import InputError, one_of, unknown, warn, within
 from torchmbd.fem.elements import Assembly, ExpandingPart, Part
-from torchmbd.fem.elements.geometric import StressedCells, projected_geometric_stiffness
+from torchmbd.fem.elements.geometric import projected_geometric_stiffness
 from torchmbd.fem.reduction import StaticLoads, StaticShapes
 from torchmbd.math.module_call import outside_transforms
 
@@ -87,21 +87,22 @@ class Expansion:
                 raise within(f"part {key!r} of body {self.name!r}", error, self.name, key) from None
             total = forces if total is None else total + forces
         if total is None:
-            raise InputError((self.name, "change"), change, " or ".join(self.changes(zone)))
+            raise unknown((self.name, "change"), change, self.changes(zone))
         return total
+
+    def changing(self, zone: str | None, change: str) -> dict[str, str]:
+        """Parts of a zone that know a kind of change, as `Assembly.stressed` takes them: part -> kind."""
+        return {key: change for key, part in self.expanding(zone).items() if change in part.changes}
 
     def second_order(
         self, zone: str | None, change: str, psi: Float[Tensor, "*lanes n 6 m"]
     ) -> Float[Tensor, "*lanes m m"]:
         """Second derivative of the work of a unit change on the modes: minus their geometric stiffness under the stress of the
         body that is held at its reference (stiffening.py)."""
-        members, freedoms = self.expanding(zone), self.assembly.freedoms
+        freedoms = self.assembly.freedoms
         F = freedoms.gathered(self.forces(zone, change)[..., None])
         u = freedoms.expand(self._static(self.assembly.stiffness(), F))
-        cells: list[StressedCells] = []
-        for key, part in self.parts.items():
-            acts = key in members and change in members[key].changes
-            cells += members[key].stressed(u, change) if acts else part.stressed(u)
+        cells = self.assembly.stressed(u, self.changing(zone, change))
         return -projected_geometric_stiffness(cells, psi)[..., 0, :, :]
 
     @cached_property

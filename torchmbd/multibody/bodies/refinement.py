@@ -6,7 +6,7 @@ The interface of Craig-Bampton stays as it is. The span of the modes contains th
 The finer mesh has twice as many cells in each direction: plates and straight beams, of the same modes, on the same flat cells
 and straight lines. Nodes keep their numbers, so that frames and responses are at the same places. Clamped and rigid sets take
 the new nodes between theirs; mean motions stay those of the same nodes.
-Checked in tests/multibody/system/test_richer.py, tests/multibody/bodies/test_finer_mesh.py.
+Checked in tests/diagnosis/test_richer.py, tests/multibody/bodies/test_finer_mesh.py.
 """
 
 from __future__ import annotations

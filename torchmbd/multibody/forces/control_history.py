@@ -23,7 +23,8 @@ class ControlHistory(nn.Module):
     kind       "linear": between values at `times` equal times 0 ... duration; "hold": each value holds for duration / times
 
     Before the first time the first value acts, and after the last time the last value. At the instant where a held value
-    changes, the mean of the old and the new value acts. So steps that end there have the exact impulse (integrate/jumps.py).
+    changes, the mean of the old and the new value acts. So steps that end there have the exact impulse
+    (integrate/held_times.py).
 
     >>> push = mbd.ControlHistory([[0.0], [2.0], [0.0]], duration=1.0)
     >>> push(torch.tensor([[0.25]], dtype=torch.float64)).tolist()  # [N]

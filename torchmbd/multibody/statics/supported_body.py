@@ -5,7 +5,7 @@ Checked in tests/extensions/buckling/test_buckling.py, tests/multibody/statics/t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchmbd.errors import DesignFailure, InputError
 from torchmbd.fem.elements import FREEDOMS, Assembly
+from torchmbd.fem.elements.geometric import projected_geometric_stiffness
 from torchmbd.fem.reduction.forms import Indefinite
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
@@ -22,6 +23,7 @@ from torchmbd.multibody.bodies.interpolation import node_indices
 from torchmbd.multibody.bodies.reduced import moving
 from torchmbd.multibody.bodies.stiffening import check_stressed
 
+Changes = Sequence[Mapping[str, str]]
 Supports = Mapping[Any, str | Sequence[float | None]]
 
 
@@ -91,9 +93,24 @@ class SupportedBody:
         """The part of a matrix on the unsupported degrees of freedom."""
         return SparseMatrix(self.pattern, K.values[..., self._positions], symmetric=True)
 
-    def geometric(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes k nnz"]:
-        """Values of the geometric stiffness under the stresses of k displacements of all nodes."""
-        return self.assembly.geometric(displacements).values[..., self._positions]
+    def geometric(
+        self, displacements: Float[Tensor, "*lanes n 6 k"], changes: Changes = ()
+    ) -> Float[Tensor, "*lanes k nnz"]:
+        """Values of the geometric stiffness under the stresses of k displacements of all nodes.
+
+        changes   of the last displacements, one for each: these are those of a unit change of temperature or moisture, part
+                  -> kind, and the stresses of its free strains are subtracted
+        """
+        states = _states(displacements, changes)
+        values = [self.assembly.geometric(u, change).values for u, change in states]
+        return torch.cat(values, -2)[..., self._positions]
+
+    def projected_geometric(
+        self, displacements: Float[Tensor, "*lanes n 6 k"], changes: Changes, motions: Float[Tensor, "*lanes n 6 a"]
+    ) -> Float[Tensor, "*lanes k a a"]:
+        """The geometric stiffness as in `geometric`, between motions of all nodes."""
+        cells = (self.assembly.stressed(u, change) for u, change in _states(displacements, changes))
+        return torch.cat([projected_geometric_stiffness(part, motions) for part in cells], -3)
 
     def motion(
         self, u: Float[Tensor, "*lanes N k"], imposed: Float[Tensor, "F 1"] | None = None
@@ -117,6 +134,15 @@ class SupportedBody:
             fault = f"{error.fault}. {moving(self.assembly, int(self.kept[error.row]))}"
         path = (self.name, "supports")
         return DesignFailure(path, rule=f"leave it movable: {fault}", noun=f"supports of {self.name!r}")
+
+
+def _states(displacements: Tensor, changes: Changes) -> Iterator[tuple[Tensor, Mapping[str, str]]]:
+    """Displacements without a change together, and those of each change."""
+    plain = displacements.shape[-1] - len(changes)
+    if plain:
+        yield displacements[..., :plain], {}
+    for k, change in enumerate(changes, start=plain):
+        yield displacements[..., k : k + 1], change
 
 
 def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, float]:

@@ -48,7 +48,6 @@ from torchmbd.multibody.system.design_variables import refuse_lost_constants, re
 from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.state_equation import StateEquation, unchanged, with_copies
-from torchmbd.multibody.system.truncation import StaticTruncation, static_truncation
 
 _START_VARIABLES = ("position", *VELOCITIES, *MODAL)  # numbers of the initial state that can be design variables
 _START = (*POSE, *VELOCITIES, *MODAL)  # all numbers of the initial state
@@ -65,7 +64,7 @@ class System(nn.Module):
     stabilization  time constant of the constraint stabilization of ODE methods [s]
     free           names of bodies that no joint holds on purpose
     truncation     the first motion warns if the retained modes are too stiff at joints and forces by more than this share, 0
-                   to 1 (`static_truncation`); None: no check
+                   to 1 (`mbd.static_truncation`); None: no check
 
     >>> ground, bob = mbd.Ground(), mbd.RigidBody("bob", 1.0, (0.01, 0.01, 0.01), position=(0, -1, 0))
     >>> hinge = mbd.Revolute(ground.at(), bob.at(0, 1, 0), axis="z", name="hinge")
@@ -248,17 +247,6 @@ class System(nn.Module):
         ...
         """
         return describe(self)
-
-    @exclusive
-    def static_truncation(self) -> StaticTruncation | None:
-        """The largest lack of flexibility at joints and forces, in the present design, that the retained modes cause
-        (truncation.py); None where no joint and no force acts on a flexible body of known stiffness.
-
-        >>> found = mbd.examples.arm().static_truncation()
-        >>> found.share < 0.02, found.body  # of the stiffness in the first vibrations
-        (True, 'arm')
-        """
-        return static_truncation(self)
 
     def _repr_html_(self) -> str:
         return html(self)

@@ -19,12 +19,12 @@ from torchmbd.design.response_spec import leaf, measure_of, terms
 from torchmbd.design.scenario_settings import settings_of
 from torchmbd.design.space import CONSTANT, DesignSpace
 from torchmbd.errors import InputError, Path
-from torchmbd.integrate import Simulation
 from torchmbd.integrate.arguments import check_backend, check_gradients, checked_integrator
 from torchmbd.integrate.registry import integrator_of
 from torchmbd.integrate.variables import entry_labels
 from torchmbd.math import units
 from torchmbd.multibody.system import System
+from torchmbd.simulation import Simulation
 from torchmbd.study.file import schema
 from torchmbd.study.file.assemble import in_si, links_in_si, point_in_si, sweep_in_si
 from torchmbd.study.file.faults import Fault, Lines, shown

@@ -18,9 +18,9 @@ from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.scenarios import Scenarios
-from torchmbd.integrate import simulate
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import optimize, sobol
+from torchmbd.simulation import simulate
 from torchmbd.study.file import schema
 from torchmbd.study.file.load import KINDS, STUDY
 from torchmbd.study.file.scenario_keys import Combine

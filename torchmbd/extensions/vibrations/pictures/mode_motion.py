@@ -19,7 +19,6 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.extensions.vibrations.spectrum import SWINGS, Spectrum
-from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.math.checked_numbers import is_whole, positive
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equilibrium.equilibrium import SPIN
@@ -30,6 +29,7 @@ from torchmbd.multibody.system import Dynamics
 from torchmbd.results.mode_shapes import SomeLanes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
+from torchmbd.simulation.equilibrium import Equilibrium
 from torchmbd.viz.animation import page_path, require_lane, scene_of, write_scene
 
 _UNDAMPED = 1e-7  # damping [%] that is rounding

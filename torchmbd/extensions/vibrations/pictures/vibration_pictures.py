@@ -29,10 +29,10 @@ from torchmbd.extensions.vibrations.pictures import spectra
 from torchmbd.extensions.vibrations.pictures.mode_motion import animate_mode
 from torchmbd.extensions.vibrations.spectrum import SWINGS
 from torchmbd.extensions.vibrations.steady_states import SteadyStates, steady_states
-from torchmbd.integrate.equilibrium import Equilibrium
 from torchmbd.results.mode_shapes import DesignShapes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
+from torchmbd.simulation.equilibrium import Equilibrium
 
 _POINTS = 25  # speeds of a diagram
 _BEYOND = 1.1  # its largest speed over the largest that is asked for

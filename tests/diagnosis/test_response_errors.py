@@ -10,9 +10,9 @@ import torch
 
 import torchmbd as mbd
 from tests.refused import refused
+from torchmbd.diagnosis.response_error import response_error
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
-from torchmbd.results.response_error import response_error
 
 ANGLE = mbd.Final(mbd.Angle("bob", "z"))
 ENERGY = mbd.StrainEnergy("arm")

@@ -1,7 +1,7 @@
 """Copies of a system whose flexible bodies have more modes or finer meshes (bodies/refinement.py).
 
 Bodies and parameters are copies too.
-Checked in tests/multibody/system/test_richer.py.
+Checked in tests/diagnosis/test_richer.py.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from tests.mechanisms import tensor
 from tests.refused import refused
 from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError
-from torchmbd.integrate.jumps import steps_at, substeps_at
+from torchmbd.integrate.held_times import steps_at, substeps_at
 from torchmbd.math.jumps import jump_times
 from torchmbd.multibody.forces import OfTime
 

@@ -15,8 +15,8 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from torchmbd.results import elastic_limits
-from torchmbd.results.elastic_limits import displacement_ratios
+from torchmbd.diagnosis import elastic_limits, load_shares
+from torchmbd.diagnosis.elastic_limits import displacement_ratios
 
 
 def pushed(force: float) -> mbd.System:
@@ -207,8 +207,8 @@ def test_a_search_warns_of_a_body_once_and_its_table_says_what_stiffening_gives(
 def test_shares_do_not_depend_on_the_parts_by_which_they_are_computed(monkeypatch):
     system, shares = carried(0.2 * EULER / 20.0, 20.0), []
     for states in (10**6, 3):
-        monkeypatch.setattr(elastic_limits, "_STATES", states)
-        elastic_limits._LOOKED_AT.clear()
+        monkeypatch.setattr(load_shares, "_STATES", states)
+        load_shares._LOOKED_AT.clear()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             shares.append(mbd.simulate(system, 1e-3, steps=7, backend="eager").stats["load_share"])
@@ -222,5 +222,5 @@ def test_a_state_that_is_unknown_does_not_hide_the_loads_after_it() -> None:
     for unknown in (math.nan, math.inf):
         loads[0, 0, 0] = torch.tensor([1.0, 1.0, unknown, 1.0, 1.0, 9.0, 9.0, 9.0])
         one = torch.ones(1, 1, 1, dtype=torch.float64)
-        [[largest]] = elastic_limits._largest_loads([(loads, one)], [2], torch.ones(1, 1)).tolist()
+        [[largest]] = load_shares._largest_loads([(loads, one)], [2], torch.ones(1, 1)).tolist()
         assert largest == pytest.approx(9.0)

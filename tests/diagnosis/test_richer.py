@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from torchmbd.multibody.system.richer import richer_system
+from torchmbd.diagnosis.richer import richer_system
 
 
 def arm(modes: int, **options) -> mbd.System:

@@ -5,20 +5,22 @@ The start for a system of other modes has the same displacements and rates of it
     Psi' w' = Psi w      w, w'   modal coordinates of the modes Psi and of more modes Psi', whose span contains that of Psi;
                                  least squares over the same nodes where they are modes on a finer mesh
 
-Checked in tests/design/test_response_errors.py, tests/design/test_errors_of_motions.py.
+Checked in tests/diagnosis/test_response_errors.py, tests/diagnosis/test_errors_of_motions.py.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchmbd.diagnosis.response_error import response_error
+from torchmbd.diagnosis.richer import finer_mesh_system, richer_system
 from torchmbd.errors import InputError
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
@@ -27,9 +29,10 @@ from torchmbd.integrate.torchdiffeq_method import Torchdiffeq
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.bodies.frame import MODAL
 from torchmbd.multibody.system import System
-from torchmbd.multibody.system.richer import finer_mesh_system, richer_system
 from torchmbd.results.mode_shapes import DesignShapes
 from torchmbd.results.motion_data import MotionData
+from torchmbd.results.response_error import ResponseError
+from torchmbd.results.trajectory import Trajectory
 
 _TIGHTER = 0.01  # tolerances of adaptive methods, for each halving of the output intervals
 # Times the steps: oscillations with 1 to 6 periods in a step are seen there as such of at least 0.13 periods in a step.
@@ -45,14 +48,16 @@ class Repetition:
     steps      of the motion, also where they were chosen
     multiple   of which any number of steps is one, as held control histories and checkpoints demand
     parameters values that the system had
+    made       motions that were made, kept for other responses
     """
 
-    simulation: Any  # a Simulation, whose file imports this one
+    simulation: Any  # a Simulation, which is made above
     designs: Mapping[str, Tensor]
     integrator: Integrator
     steps: int
     multiple: int
     parameters: Mapping[str, Tensor]
+    made: dict[Any, Any] = field(default_factory=dict, init=False)
 
     @property
     def order(self) -> int | None:
@@ -68,13 +73,25 @@ class Repetition:
             noun="method of errors by steps",
         )
 
-    def finer(self, factor: int) -> Any:
+    @property
+    def has_equal_steps(self) -> bool:
+        """True for methods of one step."""
+        return isinstance(self.integrator, OneStep)
+
+    def error_of(self, motion: Trajectory, response: Any, modes: bool, mesh: bool) -> ResponseError:
+        """The errors of a response of the motion (response_error.py)."""
+        return response_error(motion, response, modes, mesh)
+
+    def finer(self, factor: int) -> Trajectory:
         """The motion with `factor` (2 or 4) times the steps and a few more, values only.
 
         Its number of steps shares no factor with that of the motion, but for `multiple`: a load whose period divides a step of
         the motion, which shows one value of it, does not divide these. For a factor of 2 they are FINER times as many.
         Adaptive methods have tighter tolerances instead.
         """
+        return self._kept(factor, lambda: self._finer(factor))
+
+    def _finer(self, factor: int) -> Trajectory:
         if self.order is None:
             assert isinstance(self.integrator, Torchdiffeq)
             share = _TIGHTER ** (factor // 2)
@@ -86,18 +103,16 @@ class Repetition:
             finer += 1
         return self._again(self.designs, steps=self.multiple * finer)
 
-    def coarser(self) -> Any | None:
+    def coarser(self) -> Trajectory | None:
         """The motion with half as many equal steps, values only, without its warnings; None where there is none."""
         if self.order is None or self.steps % 2:
             return None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return self._again(self.designs, steps=self.steps // 2)
+        return self._kept("coarser", lambda: self._without_warnings(self.steps // 2))
 
-    def by_longer_steps(self) -> Any | None:
+    def by_longer_steps(self, motion: Trajectory) -> Trajectory | None:
         """The motion with steps FINER times as long, values only, without its warnings; None where there is none.
 
-        Its number of steps shares no factor with that of the motion, as in `finer`.
+        Its number of steps shares no factor with that of the motion, as in `finer`; `motion` is its finer one.
         """
         parts = -(-self.steps // self.multiple)
         coarse = math.floor(parts / FINER)
@@ -105,11 +120,11 @@ class Repetition:
             coarse -= 1
         if self.order is None or coarse < 1:
             return None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return self._again(self.designs, steps=self.multiple * coarse)
+        longer = self._without_warnings(self.multiple * coarse)
+        longer.repetition.made[2] = motion
+        return longer
 
-    def richer(self, motion: Any) -> Any | None:
+    def richer(self, motion: Trajectory) -> Trajectory | None:
         """The same steps with more modes of all flexible bodies, values only; None where no body has further modes.
 
         motion   the motion of these arguments: modal coordinates of its start are those of its modes
@@ -117,13 +132,24 @@ class Repetition:
         """
         T = motion.dynamics.topology
         modes = dict(zip(T.names, T.mode_counts, strict=False))  # flexible bodies are the first
-        return self._with_bodies(motion, *richer_system(self.simulation.system, modes))
+        return self._kept("modes", lambda: self._with_bodies(motion, *richer_system(self.simulation.system, modes)))
 
-    def with_finer_meshes(self, motion: Any) -> Any | None:
+    def with_finer_meshes(self, motion: Trajectory) -> Trajectory | None:
         """The same on meshes of twice as many cells in each direction; None where no body has such a mesh."""
-        return self._with_bodies(motion, *finer_mesh_system(self.simulation.system))
+        return self._kept("mesh", lambda: self._with_bodies(motion, *finer_mesh_system(self.simulation.system)))
 
-    def _with_bodies(self, motion: Any, system: System, names: list[str]) -> Any | None:
+    def _kept(self, key: Any, make: Callable[[], Any]) -> Any:
+        """A motion, made once."""
+        if key not in self.made:
+            self.made[key] = make()
+        return self.made[key]
+
+    def _without_warnings(self, steps: int) -> Any:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return self._again(self.designs, steps=steps)
+
+    def _with_bodies(self, motion: Trajectory, system: System, names: list[str]) -> Any | None:
         if not names:
             return None
         start, designs = _with_other_modes(motion, system, self.simulation.start, self.designs)

@@ -10,8 +10,8 @@ import torch
 import torchmbd as mbd
 from tests.mechanisms import rigid_pendulum
 from tests.refused import refused
+from torchmbd.diagnosis.truncation import StaticTruncation
 from torchmbd.examples.two_link_arm import build
-from torchmbd.multibody.system.truncation import StaticTruncation
 
 GROUND = mbd.Ground()
 STEEL = mbd.GivenSection.isotropic(E=2.1e11, nu=0.3, density=7800.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9)
@@ -43,7 +43,7 @@ def arm(**options) -> mbd.System:
 
 
 def truncation(system: mbd.System) -> StaticTruncation:
-    result = system.static_truncation()
+    result = mbd.static_truncation(system)
     assert result is not None
     return result
 
@@ -94,8 +94,8 @@ def test_a_body_of_matrices_says_the_same():
 
 def test_nothing_is_known_of_rigid_bodies_and_of_those_reduced_elsewhere(tmp_path):
     body = mbd.FlexibleBody.from_reduced("beam", beam().save_reduced(tmp_path / "beam.npz"))
-    assert cantilever(body=body).static_truncation() is None
-    assert rigid_pendulum().static_truncation() is None
+    assert mbd.static_truncation(cantilever(body=body)) is None
+    assert mbd.static_truncation(rigid_pendulum()) is None
 
 
 @pytest.mark.thorough

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from tests.design.test_response_errors import oscillator
+from tests.diagnosis.test_response_errors import oscillator
 from tests.refused import refused
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -101,14 +101,14 @@ def test_modal_coordinates_of_a_start_are_carried_over():
     w[0], w[1] = 1e-3, -2e-4
     designs = {"beam.modal": w, "beam.modal_velocity": [0.1 * x for x in w]}
     motion = mbd.simulate(system, 0.01, steps=40, start=designs, gradients="none")
-    richer = motion.richer()
+    richer = motion.require_repetition().richer(motion)
     assert richer is not None
     assert richer.body("beam").w.shape[-1] == len(w) + 2
     one, other = motion.body("beam"), richer.body("beam")
     torch.testing.assert_close(one.displacements[:, 0], other.displacements[:, 0], rtol=0.0, atol=1e-12)
     system.body("beam").bent(w)
     bent = mbd.simulate(system, 0.01, steps=40, gradients="none")
-    richer = bent.richer()
+    richer = bent.require_repetition().richer(bent)
     assert richer is not None
     there = richer.body("beam").displacements[:, 0]
     torch.testing.assert_close(bent.body("beam").displacements[:, 0], there, rtol=0.0, atol=1e-12)
@@ -182,7 +182,7 @@ def test_motions_that_agree_by_chance_are_not_believed():
             t = 0.005 * k + 3e-4
             response = mbd.AtTime(mbd.Position("bob", "x"), t)
             error = motion.error_of(response)
-            value, half = error.value.item(), response(motion.finer(2)).item()
+            value, half = error.value.item(), response(motion.require_repetition().finer(2)).item()
             size = error.size.item()
             if abs(math.sin(omega * t) / omega - value) > 0.5 * size:  # it is wrong
                 by_two += abs(half - value) < 0.1 * size

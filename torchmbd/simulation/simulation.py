@@ -21,6 +21,9 @@ from typing import Any, NamedTuple, Self
 import torch
 from torch import Tensor
 
+from torchmbd.diagnosis.diagnose import diagnose, warn_of_model
+from torchmbd.diagnosis.jumps import refuse_jumps
+from torchmbd.diagnosis.repetition import Repetition
 from torchmbd.errors import InputError, argument_names
 from torchmbd.integrate.arguments import (
     check_backend,
@@ -39,8 +42,6 @@ from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.forward_integration import ForwardIntegration
 from torchmbd.integrate.integrated_trajectory import at_moving_times, plain, trajectory_of
 from torchmbd.integrate.integrator import Integrator
-from torchmbd.integrate.jumps import warn_of_jumps
-from torchmbd.integrate.lane_status import mark_gains
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
@@ -55,7 +56,6 @@ from torchmbd.integrate.phases.segment import (
     times_of,
 )
 from torchmbd.integrate.registry import DEFAULT, integrator_of
-from torchmbd.integrate.repetition import Repetition
 from torchmbd.integrate.reverse_integration import ReverseIntegration
 from torchmbd.integrate.step_count import FEWEST, rounding
 from torchmbd.integrate.variables import entry_labels, lanes_of_batch, refuse_other_designs, variable_names
@@ -64,10 +64,7 @@ from torchmbd.math.module_call import exclusive, outside_transforms
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.start.start import Start
 from torchmbd.multibody.system import System
-from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.progress import motion_shown
-from torchmbd.results.elastic_limits import name_causes, warn_of_displacements, warn_of_loads, warn_of_spin
-from torchmbd.results.singular_positions import report_singular_positions
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.summary import Summary
 
@@ -235,11 +232,12 @@ class Simulation(Summary):
         grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
         # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
         with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
-            warn_static_truncation(system)
             by_duration = duration_is_differentiated(self.duration, gradients, integrator)
             check_phase_times(phases, gradients, integrator)
             check_order(phases, seconds)
-            warn_of_jumps(system, seconds, steps, integrator, phases, by_duration)
+            if by_duration:
+                refuse_jumps(system, seconds)
+            warn_of_model(system, seconds, steps, integrator, phases)
             by_times = by_duration or any(phase.time is not None for phase in phases)
             names = variable_names(system, design_values, gradients, variables, by_times)
             check_start(start, gradients, integrator)
@@ -265,16 +263,10 @@ class Simulation(Summary):
             motion.stats["threads"] = backend_of(dynamics).threads(dynamics, integrator.work)
             mode = "forward" if forward else "reverse"
             motion.stats["gradients"] = mode if names or by_times or start.is_differentiated else "none"
+            motion.stats.pop("valid_times", None)
             with torch.no_grad():
-                if prepared.is_single:
-                    report_singular_positions(plain(motion))
-                motion.stats.pop("valid_times", None)
                 values = plain(motion, motion.integration.validity[0, 0])
-                warn_of_spin(values)
-                warn_of_loads(values)
-                warn_of_displacements(values)
-                name_causes(values)
-                mark_gains(replace(values, switches=motion.integration.switches))
+                diagnose(replace(values, switches=motion.integration.switches), plain(motion))
             motion.repetition = Repetition(
                 simulation=self,
                 designs={name: x.detach() for name, x in design_values.items()},

@@ -1,22 +1,13 @@
-"""Laws of time that jump: where they do, and steps that end there.
+"""Laws of time that jump: where they do, and warnings where no step ends there (why one should: integrate/held_times.py).
 
-    f(t_j) = (f(t_j-) + f(t_j+)) / 2     where a step ends at a jump: the impulse is exact, the motion of second order
-
-A step takes a law at its ends. If a jump D comes a share s of a step after the end of one, the impulse is off by
-h D (s - 1/2), of first order, whatever the weights of a method. At s = 0 the mean of both sides makes it exact.
-
-`ControlHistory(kind="hold")` has this mean, and its jumps are known: the number of steps is chosen such that some end there
-(step_count.py), and steps that the caller states are divided until they do (retries.py). Where that cannot be, a warning says
-so. Functions of users are sampled (math/jumps.py), once for an element with its parameters and a duration; a warning names
-jumps.
-Checked in tests/integrate/test_jumps.py.
+Functions of users are sampled (math/jumps.py), once for an element with its parameters and a duration; a warning names jumps.
+Held values of controllers have a warning where no number of steps ends at their jumps.
+Checked in tests/diagnosis/test_jumps.py.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from fractions import Fraction
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -24,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, Path, user_line, warn
-from torchmbd.integrate.contacts import MOST_SUBSTEPS
+from torchmbd.integrate.held_times import MOST, SAME, held_times, steps_at, substeps_at, within_phases
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.integrate.phases.phase import Phase
@@ -32,60 +23,17 @@ from torchmbd.math.forward_mode import jvp
 from torchmbd.math.jumps import distinct, jump_times
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.torch_law import OUT_OF_RANGE
-from torchmbd.multibody.forces.control_history import ControlHistory
 from torchmbd.multibody.forces.controller import Controller
-from torchmbd.multibody.forces.feedback import Control
 from torchmbd.multibody.forces.parametric_law import is_library_law
 from torchmbd.multibody.forces.signals import Time
 from torchmbd.multibody.joints import Drive
 from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.joints.laws import ConstantSpeed, Sine, SmoothStep
-from torchmbd.multibody.system.dynamics import Dynamics
 
-_SAME = 1e-9  # relative: times that are equal, and of a step
-_MOST = 20_000  # steps: a larger number that all jumps need is not taken
 _SHOWN = 3  # times in a message
 
 # Element -> duration -> its numbers, and times of its jumps.
 _known: WeakKeyDictionary[Any, dict[float, tuple[list[bytes], list[float]]]] = WeakKeyDictionary()
-
-
-def held_times(control: Control, duration: float) -> list[float]:
-    """Times within the duration at which held values of a controller change [s]; it may contain a ControlHistory."""
-    module = getattr(control, "module", None)
-    histories = [m for m in module.modules() if isinstance(m, ControlHistory)] if module is not None else []
-    return distinct((t for m in histories for t in m.jumps), duration)
-
-
-def within_phases(times: Sequence[float], phases: Sequence[Phase], duration: float) -> list[float]:
-    """Those of the times at which no phase ends: steps end there anyway."""
-    ends = [phase.end_time for phase in phases if phase.end_time is not None]
-    return [t for t in times if not any(abs(t - end) <= _SAME * duration for end in ends)]
-
-
-def steps_at(times: Sequence[float], duration: float) -> int | None:
-    """The least number of equal steps some of which end at these times; None: it is beyond 20,000."""
-    count = 1
-    for t in times:
-        share = Fraction(t / duration).limit_denominator(_MOST)
-        count = math.lcm(count, share.denominator)
-        if count > _MOST or abs(float(share) - t / duration) * count > _SAME:
-            return None
-    return count
-
-
-def held_times_of(dynamics: Dynamics, duration: float) -> list[float]:
-    """Times within the duration at which held values of any controller change [s]."""
-    links = dynamics.topology.links
-    controls = [link.control for link in links.each if bool((link.read == 2 * links.total).any())]  # those that read t
-    return distinct((t for control in controls for t in held_times(control, duration)), duration)
-
-
-def substeps_at(times: Sequence[float], duration: float, steps: int) -> int | None:
-    """Into how many parts each of the equal steps is divided so that some end at these times; None: too many."""
-    count = steps_at(times, duration)
-    substeps = None if count is None else count // math.gcd(count, steps)
-    return substeps if substeps is not None and substeps <= MOST_SUBSTEPS else None
 
 
 def warn_of_jumps(
@@ -94,17 +42,12 @@ def warn_of_jumps(
     steps: int | None,
     integrator: Integrator,
     phases: Sequence[Phase],
-    by_duration: bool,
 ) -> None:
     """Warn of laws that jump where no step ends, or whose value at a jump is that of one side.
 
     Methods that choose their own steps find jumps of forces themselves.
-    by_duration   the motion is differentiated by its duration: InputError where a law jumps. Steps move with the duration,
-                  jumps do not; the derivative of the steps would move both
     """
     with torch.no_grad():
-        if by_duration:
-            _refuse_jumps(system, duration)
         for joint in system.joints:
             if isinstance(joint, Drive):
                 _warn_of_drive(joint, duration)
@@ -191,8 +134,11 @@ def _jumps_of_module(force: Controller, duration: float) -> list[float]:
     return _jumps((force.name, "module"), force, functions, duration, held_times(force.control, duration))
 
 
-def _refuse_jumps(system: Any, duration: float) -> None:
-    """InputError names the first force whose law jumps in time."""
+@torch.no_grad()
+def refuse_jumps(system: Any, duration: float) -> None:
+    """InputError names the first force whose law jumps in time, in a motion that is differentiated by its duration: steps move
+    with the duration, jumps do not; the derivative of the steps would move both.
+    """
     for force in system.forces:
         if isinstance(force, Controller):
             times = held_times(force.control, duration) or _jumps_of_module(force, duration)
@@ -237,8 +183,8 @@ def _within(phases: Sequence[Phase], number: int, t: float) -> bool:
         if phase.length is not None and begin is not None:
             end = begin + phase.length
         if k == number:
-            after = begin is None or t >= begin * (1.0 + _SAME)  # a law that changes where it begins has its new value
-            return after and (end is None or t <= end * (1.0 + _SAME))
+            after = begin is None or t >= begin * (1.0 + SAME)  # a law that changes where it begins has its new value
+            return after and (end is None or t <= end * (1.0 + SAME))
         begin = end
     return False
 
@@ -255,7 +201,7 @@ def _warn_of_held(
         allowed = f"{fit}, or no steps" if fitting else fit
         warn(
             f"values of the controller {force.name!r} change at {_shown(within)}, where none of "
-            f"{f'{steps} steps' if steps else f'up to {_MOST} steps'} ends: they act up to half a step early or late, an error "
+            f"{f'{steps} steps' if steps else f'up to {MOST} steps'} ends: they act up to half a step early or late, an error "
             f'of first order in the step; allowed: {allowed}, or method="dopri5"'
         )
 

@@ -1,23 +1,4 @@
-"""Where small linear elastic displacements of flexible bodies cease to hold: their size, their spin, their loads.
-
-Displacements against the size of the body,
-
-    ratio = max |w| / sqrt(tr P0)       root mean squares over the mass: of displacements, of distances from the body frame
-
-Modes are normalized to the mass matrix, so |w|^2 = sum m u^2, and tr P0 = sum m x^2. The tip of a cantilever that moves by a
-length has 0.84. A stiffened body that buckles goes on to any displacement: what holds a buckled beam is of higher order.
-
-Spin by the lowest frequency,
-
-    ratio = max |om| / om_1           om_1: lowest frequency of the body with its reference nodes fixed, from Kr
-
-Without stiffening elastic displacements are linear, and only one of two effects of spin is included: inertia softens a bending
-mode, om_1^2 - om^2, but the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of second
-order. The error is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
-Several bodies instead of one, joined by `Fixed`, have their own frames and the tension between them along the bent line,
-but need enough modes each.
-
-The part of loads of any source in the stiffness of bodies without stiffening,
+"""The part of loads in the stiffness of bodies without stiffening: where linear elastic displacements cease to hold.
 
     Kg(t) = sum_i u_i F1_i + sum_ij Z_ij F2_ij + sum_v p_v . f_v       share = max |x' Kg x| / (x' Kr x)
 
@@ -29,8 +10,9 @@ Tension stiffens a body and pressure softens it, with spin or without. At a shar
 buckles; errors of deflections are of the size of the share, and depend on the reference as it does: beside the tangent at its
 end a rod turns far, beside the one at its middle hardly.
 
-All loads are means over a quarter of the period of om_1. A body does not yield to faster ones: after a latch the fastest modes
-shake at om v, which grows with the number of modes and with that of the steps that resolve them, and leaves no lasting load.
+All loads are means over a quarter of the period of om_1, the lowest frequency of the body with its reference nodes fixed. A
+body does not yield to faster ones: after a latch the fastest modes shake at om v, which grows with the number of modes and with
+that of the steps that resolve them, and leaves no lasting load.
 
 The multipliers in p take longer than a motion. So the share is computed where the size of all loads,
 
@@ -39,16 +21,14 @@ The multipliers in p take longer than a motion. So the share is computed where t
 is the largest that the body has had, and otherwise follows from the last one, as it is proportional to the loads. A change of
 temperature counts by its forces on all nodes.
 Bodies whose frames have more than `_MOST_NODES` nodes are not looked at, nor are those of rods, springs and solids.
-Source of the spin: Kane, Ryan, Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guid. Control Dyn. 10
-(1987) 139-151.
-Checked in tests/results/test_elastic_limits.py, tests/validation/test_flexible_benchmarks.py.
+Checked in tests/diagnosis/test_elastic_limits.py, tests/validation/test_flexible_benchmarks.py.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import torch
@@ -65,12 +45,8 @@ from torchmbd.multibody.forces.contact_law import ContactControl
 from torchmbd.multibody.forces.temperature import ExpansionVector
 from torchmbd.results.motion_data import has_failed
 from torchmbd.results.reaction import in_lanes, placement_at_times
+from torchmbd.results.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from torchmbd.results.trajectory import Trajectory
-
-_LARGE = 0.5  # displacement by the size
-_FAST = 0.1  # spin by the frequency: errors of one percent
 _LOADED = 0.05  # share of loads: errors of five percent
 _SMALL = 0.005  # size of loads below which no share is large: a force at the end of a rod has a share of 3 to 6 sizes
 _GROWN = 1.1  # factor of the size beyond which a share is computed anew
@@ -78,96 +54,6 @@ _STATES = 8192  # times x lanes whose loads are computed at once: some kilobytes
 _MOST_NODES = 60  # of frames: there are six unit loads for each
 #: Body -> size and share of its largest loads.
 _LOOKED_AT: WeakKeyDictionary[Any, tuple[float, float]] = WeakKeyDictionary()
-
-
-def displacement_ratios(motion: Trajectory) -> dict[str, Tensor]:
-    """Largest displacement by the size [lanes] of every flexible body."""
-    T, ratios = motion.dynamics.topology, {}
-    for k, name in enumerate(T.names[: T.flexible]):
-        second = value(motion.dynamics.data["P0"])[:, :, k, 0].diagonal().sum(-1)
-        ratios[name] = _lasting(motion, motion.body(name).w.norm(dim=-1)) / second.sqrt()
-    return ratios
-
-
-def _lasting(motion: Trajectory, x: Tensor) -> Tensor:
-    """Largest value [lanes] of x [lanes, times]; of a lane that failed, the median of the times before.
-
-    At its end a motion that grows without bound has any speed and size, whatever made it grow.
-    """
-    failed = torch.tensor([has_failed(status) for status in motion.status])
-    return torch.where(failed, x.nanmedian(-1).values, x.amax(-1))
-
-
-def _largest(ratios: Tensor) -> float:
-    """Of the lanes that have a number: not of a motion without any, nor of a body without size or support."""
-    known = ratios[ratios.isfinite()]
-    return float(known.max()) if len(known) else 0.0
-
-
-def warn_of_displacements(motion: Trajectory) -> None:
-    """Warn of bodies whose displacements are of their size."""
-    for name, ratios in displacement_ratios(motion).items():
-        ratio = _largest(ratios)
-        if ratio > _LARGE:
-            near = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
-            warn(
-                f"body {name!r} has elastic displacements of {near} of its size, but this body assumes small "
-                "displacements; allowed: smaller loads, pieces of a beam (mbd.split), exact beams (mbd.FlexibleBeam)"
-            )
-
-
-def spin_ratios(motion: Trajectory) -> dict[str, Tensor]:
-    """Largest ratio of spin to first frequency [lanes] of every flexible body."""
-    T, ratios = motion.dynamics.topology, {}
-    for name in T.names[: T.flexible]:
-        view = motion.body(name)
-        first = torch.linalg.eigvalsh(view.stiffness[0].detach())[:, 0].clamp_min(0.0).sqrt()
-        ratios[name] = _lasting(motion, view.omega.norm(dim=-1)) / first
-    return ratios
-
-
-def warn_of_spin(motion: Trajectory) -> None:
-    """Keep the ratios in stats["spin_ratio"], and warn of bodies without stiffening that turn too fast."""
-    motion.stats["spin_ratio"] = spin_ratios(motion)
-    for name, ratios in motion.stats["spin_ratio"].items():
-        ratio = _largest(ratios)
-        if ratio > _FAST and not _is_stiffened(motion, name):
-            rounded = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
-            warn(
-                f"body {name!r} turns at {rounded} of its first frequency: centrifugal stiffening, which linear elastic "
-                f"displacements leave out, is of the size {min(float(rounded) ** 2, 1.0):.0%} of its deflections; allowed: "
-                "stiffening=True of a body of plates and beams",
-            )
-
-
-def _is_stiffened(motion: Trajectory, name: str) -> bool:
-    V1 = motion.dynamics.data.get("V1")  # displacements of second order (multibody/bodies/stiffening.py)
-    return V1 is not None and bool(value(V1)[:, :, :, motion.dynamics.topology.names.index(name)].any())
-
-
-def name_causes(motion: Trajectory) -> None:
-    """Append to the status of each lane whose motion broke off the spin or the displacements that likely caused it."""
-    if not any(has_failed(status) for status in motion.status):
-        return
-    spins, displacements = motion.stats["spin_ratio"], displacement_ratios(motion)
-    complete = (
-        torch.isfinite(motion.q).flatten(1).all(1)
-    )  # the motion is known to its end: it failed for another reason
-    for lane, status in enumerate(motion.status):
-        if not has_failed(status) or complete[lane]:
-            continue
-        spin = {name: float(ratio[lane]) for name, ratio in spins.items() if not _is_stiffened(motion, name)}
-        size = {name: float(ratio[lane]) for name, ratio in displacements.items()}
-        for ratios, limit, text in (
-            (spin, _FAST, "turns at {:.1g} of its first frequency without stiffening; stiffening=True helps"),
-            (size, _LARGE, "is displaced by {:.1g} of its size, but elastic displacements are taken as small"),
-        ):
-            name = max(
-                (name for name, x in ratios.items() if limit < x < torch.inf), key=ratios.__getitem__, default=None
-            )
-            if name is not None:
-                motion.status[lane] = f"{status}; likely cause: body {name!r} {text.format(ratios[name])}"
-                break
 
 
 def load_shares(motion: Trajectory) -> dict[str, float]:

@@ -18,6 +18,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.diagnosis.elastic_limits import warn_of_displacements, warn_of_spin
+from torchmbd.diagnosis.load_shares import warn_of_loads
+from torchmbd.diagnosis.truncation import warn_static_truncation
 from torchmbd.errors import DesignFailure, InputError, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.integrated_trajectory import plain, trajectory_of
@@ -39,9 +42,7 @@ from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations
 from torchmbd.multibody.equilibrium.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.system import Dynamics, System
-from torchmbd.multibody.system.truncation import warn_static_truncation
 from torchmbd.registry import Registry
-from torchmbd.results.elastic_limits import warn_of_displacements, warn_of_loads, warn_of_spin
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, Switch
 from torchmbd.results.trajectory import Trajectory

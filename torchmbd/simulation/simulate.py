@@ -15,10 +15,10 @@ from torch import Tensor
 from torchmbd.errors import argument_names, keyword_hints
 from torchmbd.integrate.phases.phase import Phase
 from torchmbd.integrate.registry import DEFAULT
-from torchmbd.integrate.simulation import Simulation
 from torchmbd.math.module_call import exclusive
 from torchmbd.multibody.system import System
 from torchmbd.results.trajectory import Trajectory
+from torchmbd.simulation.simulation import Simulation
 
 
 @keyword_hints
