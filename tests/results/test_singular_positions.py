@@ -11,7 +11,7 @@ import torch
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum, plate, tensor
 from tests.validation.rigid_benchmarks import n_four_bar, n_four_bar_at
-from torchmbd.diagnosis.failures import report_singular_positions
+from torchmbd.diagnosis.failures import name_singular_positions
 from torchmbd.results import singular_positions
 from torchmbd.results.time_rows import TensorSignals
 
@@ -39,7 +39,7 @@ def test_a_motion_that_failed_says_where(folding):
     states = {name: torch.where(gone, torch.nan, getattr(folding, name)) for name in ("q", "v", "a", "lam")}
     status = ["failed: the motion is not finite from t = 0.76 s on"]
     failed = replace(folding, signals=TensorSignals(states), status=status)
-    report_singular_positions(failed)
+    name_singular_positions(failed)
     (status,) = failed.status
     assert status.startswith("failed: the motion is not finite from t = 0.76 s on; singular position near t = 0.71")
 

@@ -1,6 +1,7 @@
 """What is told of every model and of every motion: `Simulation` calls these functions before and after it integrates.
 
-Checked in the tests of each function.
+`diagnose=False` puts `warn_of_model` and `warn_of_motion` off. The status of a lane says the same in both cases.
+Checked in tests/diagnosis/test_diagnose.py, and where each function is.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from torchmbd.diagnosis.elastic_limits import warn_of_displacements, warn_of_spin
-from torchmbd.diagnosis.failures import name_causes, report_singular_positions
+from torchmbd.diagnosis.failures import name_causes, name_singular_positions, warn_of_singular_positions
 from torchmbd.diagnosis.gains import mark_gains
 from torchmbd.diagnosis.jumps import warn_of_jumps
 from torchmbd.diagnosis.load_shares import warn_of_loads
@@ -27,14 +28,24 @@ def warn_of_model(
     warn_of_jumps(system, duration, steps, integrator, phases)
 
 
-def diagnose(motion: Trajectory, beyond: Trajectory) -> None:
-    """Add causes to the status of lanes that failed, and doubts to that of others; warn of what linear elastic displacements
-    leave out. The motion has plain numbers; `beyond` has them also after a failure.
+def explain(motion: Trajectory, beyond: Trajectory) -> None:
+    """Add causes to the status of lanes that failed, and a doubt to that of lanes that gain energy from nothing.
+
+    motion   of plain numbers;  beyond: the same with the numbers after a failure
     """
     if motion.is_single:
-        report_singular_positions(beyond)
+        name_singular_positions(beyond)
+    name_causes(motion)
+    mark_gains(motion)
+
+
+def warn_of_motion(motion: Trajectory, beyond: Trajectory) -> None:
+    """Warn of singular positions, and of what linear elastic displacements leave out: spin, loads, large displacements.
+
+    stats["spin_ratio"] and stats["load_share"] have the numbers.
+    """
+    if motion.is_single:
+        warn_of_singular_positions(beyond)
     warn_of_spin(motion)
     warn_of_loads(motion)
     warn_of_displacements(motion)
-    name_causes(motion)
-    mark_gains(motion)

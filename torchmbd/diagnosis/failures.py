@@ -16,7 +16,7 @@ from collections import Counter
 
 import torch
 
-from torchmbd.diagnosis.elastic_limits import FAST, LARGE, displacement_ratios, is_stiffened
+from torchmbd.diagnosis.elastic_limits import FAST, LARGE, displacement_ratios, is_stiffened, spin_ratios
 from torchmbd.errors import warn
 from torchmbd.math.pair import value
 from torchmbd.multibody.equations import equations
@@ -70,18 +70,21 @@ def laws_at_fault(motion: MotionData, lane: int) -> list[str]:
     return list(dict.fromkeys(faults))
 
 
-def report_singular_positions(motion: MotionData) -> None:
-    """Add singular positions, and laws of forces that are not finite, to the status of lanes that failed.
-
-    Of lanes that succeeded when they were integrated again, or in which a step took many corrections, they are a warning.
-    """
-    failed_first, further = motion.stats.get("failed_first", ()), motion.stats.get("further_corrections")
+def name_singular_positions(motion: MotionData) -> None:
+    """Add singular positions, and laws of forces that are not finite, to the status of lanes that failed."""
     for lane, status in enumerate(motion.status):
         if has_failed(status):
             near = positions_of_lane(motion, lane)[:1]  # after the first the motion means little
             motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
-        elif lane in failed_first or (further is not None and float(further[lane]) >= _MANY):
-            for near in positions_of_lane(motion, lane) if may_be_near(motion, lane) else ():
+
+
+def warn_of_singular_positions(motion: MotionData) -> None:
+    """Warn of them in lanes that succeeded when they were integrated again, or in which a step took many corrections."""
+    failed_first, further = motion.stats.get("failed_first", ()), motion.stats.get("further_corrections")
+    for lane, status in enumerate(motion.status):
+        doubtful = lane in failed_first or (further is not None and float(further[lane]) >= _MANY)
+        if doubtful and not has_failed(status) and may_be_near(motion, lane):
+            for near in positions_of_lane(motion, lane):
                 warn(f"{near}; from there the motion may go on in several ways")
 
 
@@ -89,7 +92,7 @@ def name_causes(motion: Trajectory) -> None:
     """Append to the status of each lane whose motion broke off the spin or the displacements that likely caused it."""
     if not any(has_failed(status) for status in motion.status):
         return
-    spins, displacements = motion.stats["spin_ratio"], displacement_ratios(motion)
+    spins, displacements = spin_ratios(motion), displacement_ratios(motion)
     complete = torch.isfinite(motion.q).flatten(1).all(1)  # to the end: such a motion failed for another reason
     for lane, status in enumerate(motion.status):
         if not has_failed(status) or complete[lane]:

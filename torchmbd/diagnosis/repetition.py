@@ -147,7 +147,7 @@ class Repetition:
     def _without_warnings(self, steps: int) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return self._again(self.designs, steps=steps)
+            return self._again(self.designs, steps=steps, diagnose=False)
 
     def _with_bodies(self, motion: Trajectory, system: System, names: list[str]) -> Any | None:
         if not names:
@@ -155,7 +155,7 @@ class Repetition:
         start, designs = _with_other_modes(motion, system, self.simulation.start, self.designs)
         return self._again(designs, system=system, start=start, steps=self.steps)
 
-    def _again(self, designs: Mapping[str, Tensor], **arguments: Any) -> Any:
+    def _again(self, designs: Mapping[str, Tensor], diagnose: bool = True, **arguments: Any) -> Any:
         """The motion of designs by the simulation with other arguments, values only."""
         for name, x in self.simulation.system.named_parameters():
             if not torch.equal(x.detach(), self.parameters[name]):
@@ -165,7 +165,7 @@ class Repetition:
         # Times without gradients, and joints of any copy of the system.
         phases = [_plain(phase) for phase in self.simulation.phases]
         other = self.simulation.with_arguments(duration=self.simulation.seconds, phases=phases, **arguments)
-        return other(designs, gradients="none", progress=False)
+        return other(designs, gradients="none", progress=False, diagnose=diagnose)
 
 
 def _plain(phase: Any) -> Any:

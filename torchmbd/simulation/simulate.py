@@ -35,6 +35,7 @@ def simulate(
     backend: str = "auto",
     start: str | Mapping[str, Any] | Trajectory = "assembled",
     progress: bool | None = None,
+    diagnose: bool = True,
     **options: Any,
 ) -> Trajectory:
     """Simulate one design, or a batch of independent designs (lanes): `Simulation(...)(designs)`.
@@ -66,6 +67,8 @@ def simulate(
                 than three seconds
     variables   names of the parameters whose gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
+    diagnose    False: without the warnings of what the model leaves out, such as stiffening by loads, and without the time
+                that they take, up to half of a first motion. The status is the same
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
                 halvings, and checkpoint=k, which keeps every k-th state; torchdiffeq: rtol, atol, options
 
@@ -93,4 +96,4 @@ def simulate(
         start=start,
         **options,
     )
-    return simulation(designs, gradients, variables, progress)
+    return simulation(designs, gradients, variables, progress, diagnose)

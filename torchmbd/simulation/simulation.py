@@ -21,10 +21,10 @@ from typing import Any, NamedTuple, Self
 import torch
 from torch import Tensor
 
-from torchmbd.diagnosis.diagnose import diagnose, warn_of_model
+from torchmbd.diagnosis.diagnose import explain, warn_of_model, warn_of_motion
 from torchmbd.diagnosis.jumps import refuse_jumps
 from torchmbd.diagnosis.repetition import Repetition
-from torchmbd.errors import InputError, argument_names
+from torchmbd.errors import InputError, argument_names, true_or_false
 from torchmbd.integrate.arguments import (
     check_backend,
     check_dtypes,
@@ -93,7 +93,7 @@ class Simulation(Summary):
 
     system, duration, method, steps, phases, backend, start, options   as in `simulate`
 
-    `simulation(designs, gradients, variables, progress)` returns a Trajectory; its arguments are those of `simulate` as well.
+    `simulation(designs, gradients, variables, progress, diagnose)` returns a Trajectory; its arguments are those of `simulate`.
     `simulate(...)` is `Simulation(...)(...)`, with the same numbers.
 
     A call uses the present numbers of parameters, constants and tensors of `start`. If constant positions, axes or velocities
@@ -219,12 +219,14 @@ class Simulation(Summary):
         gradients: str = "auto",
         variables: Sequence[str] | None = None,
         progress: bool | None = None,
+        diagnose: bool = True,
     ) -> Trajectory:
         """The motions of designs, name -> values [lanes, ...], or [...] for one lane; arguments as in `simulate`.
 
         Raises InputError for bad arguments.
         """
         design_values = checked_designs(self.system, designs)
+        diagnose = true_or_false("diagnose", diagnose)
         prepared = self._prepared()
         start, system, integrator = prepared.start, prepared.system, prepared.integrator
         check_gradients(gradients, integrator)
@@ -237,7 +239,8 @@ class Simulation(Summary):
             check_order(phases, seconds)
             if by_duration:
                 refuse_jumps(system, seconds)
-            warn_of_model(system, seconds, steps, integrator, phases)
+            if diagnose:
+                warn_of_model(system, seconds, steps, integrator, phases)
             by_times = by_duration or any(phase.time is not None for phase in phases)
             names = variable_names(system, design_values, gradients, variables, by_times)
             check_start(start, gradients, integrator)
@@ -266,7 +269,10 @@ class Simulation(Summary):
             motion.stats.pop("valid_times", None)
             with torch.no_grad():
                 values = plain(motion, motion.integration.validity[0, 0])
-                diagnose(replace(values, switches=motion.integration.switches), plain(motion))
+                values = replace(values, switches=motion.integration.switches)
+                explain(values, plain(motion))
+                if diagnose:
+                    warn_of_motion(values, plain(motion))
             motion.repetition = Repetition(
                 simulation=self,
                 designs={name: x.detach() for name, x in design_values.items()},
