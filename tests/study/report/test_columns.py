@@ -8,6 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 import torchmbd as mbd
 from torchmbd.optimization import Evaluation
@@ -33,6 +35,22 @@ def test_numbers_tell_the_entries_of_a_parameter_apart():
 def test_the_body_is_named_where_two_share_a_word():
     result = columns(inner__laminate__angles=(1,), outer__laminate__angles=(1,))
     assert result.names == ("inner_angle_1_deg", "outer_angle_1_deg")
+
+
+def test_parts_of_one_body_are_named_where_they_share_a_word():
+    result = columns(arm__inner__thickness=(1,), arm__outer__thickness=(1,), arm__inner__angles=(2,), hub__angles=(1,))
+    names = ("arm_inner_thickness_1", "arm_outer_thickness_1", "arm_angle_1_deg", "arm_angle_2_deg", "hub_angle_1_deg")
+    assert result.names == names
+    x = np.arange(1.0, 6.0)
+    assert list(result.by_name(x).values()) == result.in_units(x).tolist()
+    assert result.named(x).count("thickness") == 2
+
+
+@given(st.lists(st.from_regex(r"[ab](\.[ab_]{1,3}){1,2}", fullmatch=True), unique=True, max_size=6), st.integers(0, 2))
+def test_every_design_variable_has_a_column_of_its_own(parameters, entries):
+    labels = [f"{name}[{i}]" for name in parameters for i in range(entries)] + [f"{name}_1" for name in parameters]
+    names = Columns.of(labels, {}).names
+    assert len(set(names)) == len(set(labels))
 
 
 def test_criteria_of_two_bodies_are_named_by_them():

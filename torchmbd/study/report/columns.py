@@ -1,6 +1,6 @@
 """Short names and units of the entries of the design vector, for tables and metrics.
 
-rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg where two parameters would share the name)
+rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg, or rod_laminate_angle_1_deg, if others would have this name)
 spring.stiffness[0]          ->  stiffness           a parameter that is one number has no others to be distinguished from
 
 The extra variable of a min-max problem or of a worst case, the last of a vector, is not a design and has no column.
@@ -10,6 +10,7 @@ Checked in tests/study/report/test_columns.py.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -36,16 +37,15 @@ class Columns:
         scalars  parameters of one number
         """
         owners = [label.rpartition("[")[0] if label.endswith("]") else label for label in labels]
-        parameters = list(dict.fromkeys(owners))
-        words = [parameter.rpartition(".")[2] for parameter in parameters]
+        words = _short_names(list(dict.fromkeys(owners)))
         names = []
         for label, parameter in zip(labels, owners, strict=True):
-            word = _singular(parameter.rpartition(".")[2])
-            if words.count(parameter.rpartition(".")[2]) > 1:
-                word = f"{parameter.partition('.')[0]}_{word}"
             number = "" if label == parameter or parameter in scalars else f"_{int(label[len(parameter) + 1 : -1]) + 1}"
             unit = units.get(parameter, "none")
-            names.append(f"{word}{number}{'' if unit == 'none' else f'_{unit}'}")
+            names.append(f"{words[parameter]}{number}{'' if unit == 'none' else f'_{unit}'}")
+        for k, name in enumerate(names):
+            if names.count(name) > 1:  # as of x[0] beside x_1: what is left are the labels, which differ
+                names[k] = labels[k].replace("[", ".").removesuffix("]")
         unit_names = tuple(units.get(parameter, "none") for parameter in owners)
         return cls(tuple(labels), tuple(names), unit_names, np.array([UNITS[unit] for unit in unit_names]))
 
@@ -78,7 +78,7 @@ class Columns:
 
     def named(self, x: np.ndarray) -> str:
         """Return a design vector [SI] in one line with names and units: `angle 1 45 deg, thickness 0.6 mm`."""
-        return ", ".join(self._named(k, value) for k, value in enumerate(self.by_name(x).values()))
+        return ", ".join(self._named(k, value) for k, value in enumerate(self.in_units(x).tolist()))
 
     def _named(self, k: int, value: float) -> str:
         word, _, unit = self.heading(k).partition(" [")
@@ -94,6 +94,18 @@ class Columns:
         unit = self.units[index]
         word = self.names[index].removesuffix(f"_{unit}").replace("_", " ")
         return word if unit == "none" else f"{word} [{unit}]"
+
+
+def _short_names(parameters: Sequence[str]) -> dict[str, str]:
+    """The last word of each parameter; with its first word, or with all words, as far as others have the same name."""
+    parts = {parameter: parameter.split(".") for parameter in parameters}
+    names: dict[str, str] = {}
+    for shorter in (lambda p: p[-1:], lambda p: [*p[:-1][:1], p[-1]], lambda p: p):
+        tried = {parameter: "_".join([*(words := shorter(p))[:-1], _singular(words[-1])]) for parameter, p in parts.items()}
+        counts = Counter([*tried.values(), *names.values()])
+        names |= {parameter: name for parameter, name in tried.items() if counts[name] == 1}
+        parts = {parameter: p for parameter, p in parts.items() if parameter not in names}
+    return names | {parameter: "_".join(p) for parameter, p in parts.items()}
 
 
 def _singular(word: str) -> str:
