@@ -13,10 +13,11 @@ import torch
 import torchmbd as mbd
 from tests.refused import refused
 from torchmbd.design.problem_parts import masses_and_frequencies
-from torchmbd.design.verification import verification
+from torchmbd.design.verification import _constrained, _faults_of_constraints, _holds, advice, verification
 from torchmbd.design.words import words
 from torchmbd.optimization import MultistartResult
 from torchmbd.results.answer import Verification
+from torchmbd.results.response_error import ResponseError
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -246,3 +247,27 @@ def test_bad_input() -> None:
         mbd.verify(3)  # pyright: ignore[reportArgumentType]
     with refused("result"):
         mbd.verify(MultistartResult([], []))
+
+
+@pytest.mark.parametrize("far", [0.0, -5.0, -1e6])
+@pytest.mark.parametrize(("excess", "holds"), [(0.0001, True), (0.005, False), (math.nan, False)])
+def test_rows_far_from_the_limit_do_not_change_the_verdict_on_others(far: float, excess: float, holds: bool) -> None:
+    """Two rows below 0.02: one near it, the other at `far`, with a size of its own."""
+    value = torch.tensor([[0.02, far]] * 2, dtype=torch.float64)
+    by_steps = torch.tensor([[excess, 0.0]] * 2, dtype=torch.float64)
+    error = ResponseError("", value, value.abs(), value.abs(), by_steps, torch.ones(2, dtype=torch.bool), ("", ""))
+    limits = np.full(2, 0.02)
+    response = _constrained(mbd.Max(X) <= 0.02, error, limits, limits, np.full(2, 0.02))
+    faults = _faults_of_constraints([response], 1)
+    assert (not faults) is holds
+    assert _holds([response], 1) is holds
+    if excess == 0.005:
+        assert faults[0].text.endswith("is beyond its limit by 25 % in the finer model")
+        assert faults[0].need == pytest.approx(25.0)
+
+
+def test_advice_names_what_the_errors_come_from() -> None:
+    problem = vibrating(80)
+    assert advice(problem, 4.0, {"mesh"}) == "finer meshes of the flexible bodies"
+    assert advice(problem, 4.0, {"steps", "mesh"}) == "finer meshes of the flexible bodies, steps: 160 or more"
+    assert advice(problem, 4.0) == "steps: 160 or more"

@@ -29,6 +29,12 @@ def test_a_unit_that_cannot_be_is_refused():
     assert misfit("rod.laminate.thickness", "in") is None
     assert misfit("rod.laminate.thickness", "none") is None
     assert misfit("motor.size", "mm") is None
+    assert misfit("law.anything", "mm") is None
+    for wrong in ("mm", "kg", "deg", "ms"):
+        assert "N/mm" in (misfit("spring.stiffness", wrong) or "")
+    assert misfit("spring.stiffness", "N/mm") is None
+    assert misfit("hinge.stiffness", "N m") is None
+    assert misfit("tip.mass", "Hz") is not None
 
 
 def test_lengths_of_files():

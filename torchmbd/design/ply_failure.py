@@ -12,8 +12,6 @@ Checked in tests/contracts/test_responses.py, tests/results/test_ply_history.py,
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,13 +20,12 @@ from torch import Tensor
 
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown, warn
-from torchmbd.fem.materials import CRITERIA, PLY_COMPONENTS, Strength
-from torchmbd.fem.materials.strength import missing_strength
+from torchmbd.fem.materials import CRITERIA, PLY_COMPONENTS
+from torchmbd.fem.materials.strength import required_strength
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import is_whole
-from torchmbd.math.variable import number
 from torchmbd.multibody.system import System
-from torchmbd.results.ply_history import PlyHistory, require_plies
+from torchmbd.results.ply_history import PlyHistory, of_plies, require_plies
 from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 
 # Largest ratio of sides of triangles to the thickness. Errors of the shear between layers of a carbon cantilever: 4 % for a
@@ -58,11 +55,10 @@ class PlyFailure(History):
     def check(self, system: System) -> None:
         if self.criterion not in CRITERIA:
             raise unknown("criterion", self.criterion, CRITERIA)
-        strengths = [ply.strength for ply in plies_of(system.body(self.body))]
-        if any(strength is None for strength in strengths):
-            raise missing_strength(self.body)
+        body = system.body(self.body)
+        required_strength(self.body, of_plies(plies_of(body)), self.criterion)
         if self.criterion == "interlaminar":
-            _check_interlaminar(self.body, system.body(self.body), [s for s in strengths if s is not None])
+            _warn_of_triangles(self.body, body)
 
     def values(self, motion: Trajectory) -> Tensor:
         body = motion.system.body(self.body)
@@ -73,16 +69,8 @@ class PlyFailure(History):
         return torch.stack(indices).amax(0)
 
 
-def _check_interlaminar(name: str, body: Any, strengths: Sequence[Strength]) -> None:
-    """InputError without shear strengths; a warning if triangles are too long for accurate shear forces of plates."""
-    if not all(math.isfinite(number(s.S13)) or math.isfinite(number(s.S23)) for s in strengths):
-        raise InputError(
-            "criterion",
-            "interlaminar",
-            rule="has infinite strengths S13 and S23; criterion 'interlaminar' needs one of them",
-            shown="",
-            noun=f"a ply of body {name!r}",
-        )
+def _warn_of_triangles(name: str, body: Any) -> None:
+    """Warn if triangles are too long for accurate shear forces of plates."""
     for part in getattr(body, "plates", {}).values():
         triangles = part.matrices.kinds.get("triangle")
         if triangles is None:

@@ -67,6 +67,7 @@ class History(ConstantArguments):
 
     def __call__(self, motion: Trajectory) -> Tensor:
         """Value [lanes, times]; lanes that failed have nan, and no derivative."""
+        self.check(motion.system)
         return motion.sound(self.values(motion))
 
     def check(self, system: System) -> None:
@@ -74,7 +75,14 @@ class History(ConstantArguments):
 
     def series(self, motion: Trajectory) -> ValueAndGradient:
         """Value [lanes, times] and gradient [lanes, times, n_b], None for a motion without gradients."""
+        self.check(motion.system)
         return differentiate(self.values, motion)
+
+    def _without_limit(self, limit: Any) -> NoReturn:
+        """A history has many numbers: InputError that says of which one a limit can be."""
+        raise InputError("constraint", self, "a measure of it, such as mbd.Max(history) <= limit", state="is a history")
+
+    __le__ = __ge__ = __lt__ = __gt__ = _without_limit
 
     def __add__(self, other: Any) -> History:
         return Combined(torch.add, (self, other))
@@ -174,6 +182,7 @@ class Measure(ConstantArguments):
 
     def __call__(self, motion: Trajectory) -> Tensor:
         """Value [lanes], or [lanes, rows]; lanes that failed have nan, and no derivative."""
+        self.check(motion.system)
         return motion.sound(self.value(motion))
 
     def check(self, system: System) -> None:
@@ -253,6 +262,7 @@ class Measure(ConstantArguments):
 
     def of(self, motion: Trajectory) -> ValueAndGradient:
         """Value [lanes, ...] and gradient [lanes, ..., n_b], None for a motion without gradients."""
+        self.check(motion.system)
         return differentiate(self.value, motion)
 
     def value_and_gradient(self, motion: Trajectory) -> ValueAndGradient:

@@ -6,11 +6,12 @@ origin, nor a unit, nor a constant in a response changes the verdict:
 
     the start is feasible      error of the gain         <= GAIN   |f(start) - f(best)|
     else, or best is start     error of the best value   <= GAIN   max(size, |f(start) - f(best)|)
-    constraint                 excess                    <= LIMIT  max(size, |g(start) - g(best)|), or its own scale
+    constraint, each row       excess                    <= LIMIT  max(size, |g(start) - g(best)|), or its own scale
 
-Limits "initial" are those of the initial design there. Of a constraint of several rows the one nearest to its limit is told.
-Over tolerances (RobustProblem) values and errors are those of the nominal design. Ends of other starts are judged where their
-values lie within twice the error of the best one.
+So rows that are far from their limits do not change the verdict on the others either. Limits "initial" are those of the initial
+design there. Of a constraint of several rows the one nearest to its limit is told. Over tolerances (RobustProblem) values and
+errors are those of the nominal design. Ends of other starts are judged where their values lie within twice the error of the
+best one.
 Checked in tests/design/test_verification.py.
 """
 
@@ -133,7 +134,7 @@ def verification(
     changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (gained.value, gained.finer)]
     todo = ""
     if faults:
-        causes = {fault.response.cause for fault in faults if not fault.unresolved}
+        causes = {"steps" if fault.unresolved else fault.response.cause for fault in faults}
         todo = f"{advice(simulated, max(fault.need for fault in faults), causes)}, and the search again"
     answers = tuple(response.answer for response in responses)
     return Verification(answers, changes[0], changes[1], tuple(fault.text for fault in faults), todo, tuple(notes))
@@ -185,9 +186,11 @@ class _Response:
     sign                  -1 for an objective that is maximized
     limit                 of a constraint [lanes]
     excess, finer_excess  the largest (g - limit) / scale of its rows, positive beyond the limit [lanes]
-    change                the largest change of a row between the models, over its scale [lanes]
+    beyond, share         excess in the finer model of the row for which it is the largest share of what is allowed, and this
+                          share, above 1 where the constraint does not hold [lanes]
+    certain               True if every row keeps its limit by more than it changes between the models [lanes]
     finer_limits          of all rows in the finer model
-    size                  of a constraint, over its scale: what an excess is compared with
+    size                  of the row that governs, over its scale [lanes]
     """
 
     goal: str
@@ -199,9 +202,11 @@ class _Response:
     limit: np.ndarray | None = None
     excess: np.ndarray | None = None
     finer_excess: np.ndarray | None = None
-    change: np.ndarray | None = None
+    beyond: np.ndarray | None = None
+    share: np.ndarray | None = None
+    certain: np.ndarray | None = None
     finer_limits: np.ndarray | None = None
-    size: float = 1.0
+    size: np.ndarray | None = None
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -223,10 +228,12 @@ class _Response:
             Number(factor * float(self.value[k]), factor * float(changes[k]), self.reasons[k]) for k in (0, 1)
         )
         answer = Answer(self.goal, words(self.measure), name, start, best)
-        if self.limit is None or self.excess is None or self.finer_excess is None:
+        if self.limit is None or self.excess is None or self.finer_excess is None or self.size is None:
             return answer
         limit, margin, finer = factor * float(self.limit[1]), -float(self.excess[1]), -float(self.finer_excess[1])
-        return replace(answer, limit=limit, margin=margin, finer=finer, active=abs(margin) <= _ACTIVE * self.size)
+        return replace(
+            answer, limit=limit, margin=margin, finer=finer, active=abs(margin) <= _ACTIVE * float(self.size[1])
+        )
 
 
 class _Fault(NamedTuple):
@@ -271,12 +278,16 @@ def _constrained(
     """A constraint of several designs, of its limits [rows] in both models."""
     value, finer = _both(error)
     c, finer_c = (value - limits) / scale, (finer - finer_limits) / scale
-    sizes = rows_of(error.size) if constraint.kind != "equal" else rows_of(error.size.maximum(error.change))
-    size = (
-        np.ptp(value[:2], axis=0).max(initial=float(sizes[:2].max())) if constraint.scale is None else constraint.scale
-    )
+    changes = np.abs(finer_c - c)
+    sizes = rows_of(error.size if constraint.kind != "equal" else error.size.maximum(error.change)).numpy()
+    size = np.ptp(value[:2], axis=0, keepdims=True).max(axis=0, initial=0.0)
+    size = np.maximum(size, sizes[:2].max(0)) if constraint.scale is None else np.full_like(size, constraint.scale)
+    size /= np.abs(scale)
     at = np.arange(len(value)), governing_row(constraint, c)
-    excess, finer_excess = ((np.abs(x) if constraint.kind == "equal" else x).max(1) for x in (c, finer_c))
+    excess, finer_excess = (np.abs(x) if constraint.kind == "equal" else x for x in (c, finer_c))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(finer_excess <= 0.0, 0.0, finer_excess / (LIMIT * size))
+    worst = at[0], np.argmax(np.nan_to_num(shares, nan=np.inf), axis=1)
     return _Response(
         "equal to" if constraint.kind == "equal" else constraint.kind.replace("_", " "),
         constraint.measure,
@@ -284,11 +295,13 @@ def _constrained(
         finer[at],
         error,
         limit=limits[at[1]],
-        excess=excess,
-        finer_excess=finer_excess,
-        change=np.abs(finer_c - c).max(1),
+        excess=excess.max(1),
+        finer_excess=finer_excess.max(1),
+        beyond=finer_excess[worst],
+        share=shares[worst],
+        certain=(changes < -excess).all(1),
         finer_limits=finer_limits,
-        size=float(size / np.abs(scale).max()),
+        size=size[at[1]],
     )
 
 
@@ -305,22 +318,21 @@ def _excess(responses: Sequence[_Response], lane: int) -> float:
 
 def _holds(responses: Sequence[_Response], lane: int) -> bool:
     """True if a design satisfies all constraints in the finer model."""
-    return all(float(x.finer_excess[lane]) <= LIMIT * x.size for x in responses if x.finer_excess is not None)
+    return all(bool(x.share[lane] <= 1.0) for x in responses if x.share is not None)
 
 
 def _faults_of_constraints(responses: Sequence[_Response], lane: int) -> list[_Fault]:
     """Constraints that do not hold in the finer model."""
     faults = []
     for response in responses:
-        if response.excess is None or response.finer_excess is None or response.change is None:
+        if response.beyond is None or response.share is None or response.certain is None:
             continue
-        beyond, name = float(response.finer_excess[lane]), words(response.measure)
-        most = LIMIT * response.size
-        if response.reasons[lane] and not response.change[lane] < -response.excess[lane]:
+        beyond, share, name = float(response.beyond[lane]), float(response.share[lane]), words(response.measure)
+        if response.reasons[lane] and not response.certain[lane]:
             faults.append(_Fault(f"{name} is not resolved: {response.reasons[lane]}", response, _UNRESOLVED, True))
-        elif not beyond <= most:
+        elif not share <= 1.0:
             text = f"{name} is beyond its limit by {100.0 * beyond:.3g} % in the finer model"
-            faults.append(_Fault(text, response, beyond / most if most else _UNRESOLVED))
+            faults.append(_Fault(text, response, share if math.isfinite(share) else _UNRESOLVED))
     return faults
 
 
@@ -394,7 +406,7 @@ def advice(problem: Problem, need: float, causes: Collection[str] = ()) -> str:
     """
     more = [text for cause, text in _MORE.items() if cause in causes]
     if more:
-        return ", ".join([*more, advice(problem, need)])
+        return ", ".join([*more, advice(problem, need)] if "steps" in causes else more)
     steps = problem.steps
     if steps is None or problem.simulation.method in ADAPTIVE:
         return "tighter tolerances of the method (rtol, atol)"

@@ -56,9 +56,24 @@ UNITS: dict[str, tuple[float, str]] = {
     NONE: (1.0, ""),
 }
 
-#: SI units of parameters of torchmbd, by the last part of their names.
 _MODULI = ("E", "E1", "E2", "E3", "G12", "G13", "G23", "Xt", "Xc", "Yt", "Yc", "S12", "S13", "S23")
-QUANTITIES = {"angles": "rad", "thickness": "m", "density": "kg/m3", **dict.fromkeys(_MODULI, "Pa")}
+_LENGTHS = ("thickness", "length", "width", "height", "radius", "diameter", "position")
+#: SI units that parameters of torchmbd may have, by the last part of their names; others than these may have any.
+QUANTITIES: dict[str, tuple[str, ...]] = {
+    "angles": ("rad",),
+    "density": ("kg/m3",),
+    "mass": ("kg",),
+    **dict.fromkeys(_MODULI, ("Pa",)),
+    **dict.fromkeys(_LENGTHS, ("m",)),
+    **dict.fromkeys("xyz", ("m", "N", "N m")),  # of a point, a force, a torque
+    "stiffness": ("N/m", "N m"),  # of a spring along a line, about an axis
+    "damping": ("s",),  # of a body; that of a damper, N s/m or N m s/rad, has no name here
+    **dict.fromkeys(("rest", "lower", "upper", "size", "offset"), ("m", "rad")),
+    **dict.fromkeys(("delay", "duration"), ("s",)),
+    "velocity": ("m/s",),
+    "angular_velocity": ("rad/s",),
+    "speed": ("rad/s", "m/s"),
+}
 
 
 def factor(name: str) -> float:
@@ -73,15 +88,21 @@ def units_of(si: str) -> list[str]:
 
 def misfit(parameter: str, unit: str) -> str | None:
     """The reason why a parameter cannot have a unit, None if it can; `none` is the SI unit."""
-    si = QUANTITIES.get(parameter.rpartition(".")[2])
-    if si is None or UNITS[unit][1] == si or (unit == NONE):
+    units = QUANTITIES.get(parameter.rpartition(".")[2])
+    if units is None or unit == NONE or UNITS[unit][1] in units:
         return None
-    return f"allowed for {parameter}: {', '.join(units_of(si))}"
+    return f"allowed for {parameter}: {', '.join(name for si in units for name in units_of(si))}, none (SI)"
+
+
+def quantity(parameter: str) -> str | None:
+    """The SI unit of a parameter, None if its name does not tell it."""
+    units = QUANTITIES.get(parameter.rpartition(".")[2], ())
+    return units[0] if len(units) == 1 else None
 
 
 def shown(parameter: str, x: float) -> str:
     """A value [SI] of a parameter, or of an entry of it, for a message: of an angle "0.785398 rad (45 deg)"."""
-    is_angle = QUANTITIES.get(parameter.partition("[")[0].rpartition(".")[2]) == "rad"
+    is_angle = quantity(parameter.partition("[")[0]) == "rad"
     return f"{x:g} rad ({math.degrees(x):g} deg)" if is_angle else f"{x:g}"
 
 

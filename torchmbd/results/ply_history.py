@@ -24,7 +24,8 @@ from torch import Tensor
 from torchmbd.errors import InputError, one_of
 from torchmbd.fem.elements import PlyBasis, held_ply_stress, ply_basis, ply_points
 from torchmbd.fem.materials import CRITERIA, MODES, PLY_COMPONENTS, FailureForms
-from torchmbd.fem.materials.strength import missing_strength
+from torchmbd.fem.materials.strength import required_strength
+from torchmbd.fem.sections import Section
 from torchmbd.multibody.forces.temperature import Temperature
 
 if TYPE_CHECKING:
@@ -132,9 +133,7 @@ class PlyHistory:
 
     def _rule(self, criterion: str) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
         criterion = one_of("criterion", criterion, CRITERIA)
-        if self.strength is None:
-            raise missing_strength(self.name)
-        return CRITERIA[criterion], self.strength
+        return CRITERIA[criterion], required_strength(self.name, self.strength, criterion)
 
 
 def _strength(body: Any, lanes: int) -> Tensor | None:
@@ -155,16 +154,16 @@ def of_plies(plies: Sequence[Any]) -> Float[Tensor, "*lanes layers 8"] | None:
 
 
 def require_plies(body: object) -> None:
-    """Raise InputError for a body without plies."""
-    if not getattr(body, "plates", None):
-        name = getattr(body, "name", body)
-        raise InputError(
-            "body",
-            name,
-            rule="has no plies; allowed here: a plate, such as FlexibleBody.plate(...)",
-            shown="",
-            noun=f"body {name!r}",
+    """Raise InputError for a body without plates of plies."""
+    if getattr(body, "plates", None):
+        return
+    name, allowed, state = getattr(body, "name", body), "a plate, such as FlexibleBody.plate(...)", "has no plies"
+    if any(isinstance(part.section, Section) for part in getattr(body, "beams", {}).values()):
+        allowed, state = (
+            "mbd.SectionHistory and mbd.PlyFailure for the plies of beams, or a plate",
+            "has plies in beams only",
         )
+    raise InputError("body", name, allowed, state=state, noun=f"body {name!r}")
 
 
 def changes_of(motion: MotionData, body: Any) -> list[Temperature]:

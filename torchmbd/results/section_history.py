@@ -29,7 +29,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.fem.elements import Beams
 from torchmbd.fem.materials import CRITERIA, FailureForms
-from torchmbd.fem.materials.strength import missing_strength
+from torchmbd.fem.materials.strength import required_strength
 from torchmbd.fem.sections import Section
 from torchmbd.multibody.forces.temperature import Temperature
 from torchmbd.results.ply_history import amounts, changes_of, of_plies, require_plies
@@ -132,7 +132,7 @@ class SectionHistory:
         """The end and the point of a part that are nearest to failure, at each time."""
         key = self._key(part)
         _rule(criterion)
-        made, rows, strength = self._recovered[key], [], self._strength(key)
+        made, rows, strength = self._recovered[key], [], self._strength(key, criterion)
         ends, points = made.forces.shape[1], made.unit.shape[1]
         for forces, unit, w, numbers in zip(
             *(x.detach() for x in (made.forces, made.unit, self.w, strength)), strict=True
@@ -153,7 +153,7 @@ class SectionHistory:
             made = self._recovered[key]
             force = torch.einsum("ltsm,ltm->lts", made.forces[lane, end], self.w)
             stress = torch.einsum("ltcs,lts->ltc", made.unit[lane, point][:, :, _OF_PLY], force)
-            largest.append(_rule(criterion)(stress, self._strength(key)[lane, point]))
+            largest.append(_rule(criterion)(stress, self._strength(key, criterion)[lane, point]))
         if not largest:
             raise InputError(
                 "body",
@@ -182,12 +182,9 @@ class SectionHistory:
             )
         return section
 
-    def _strength(self, key: str) -> Float[Tensor, "lanes points 8"]:
+    def _strength(self, key: str, criterion: str) -> Float[Tensor, "lanes points 8"]:
         self._section(key)
-        strength = self._recovered[key].strength
-        if strength is None:
-            raise missing_strength(self.name)
-        return strength
+        return required_strength(self.name, self._recovered[key].strength, criterion)
 
 
 def beams_of(body: object) -> dict[str, Beams]:

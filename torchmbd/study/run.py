@@ -253,9 +253,11 @@ def _no_design_reason(outcome: MultistartResult, study: StudySettings) -> str:
     equal = getattr(study.problem, "equalities", np.zeros(0, dtype=int))
     rows[equal] = np.abs(rows[equal])
     name = without_group(constraint_names(study.problem, len(rows))[int(np.argmax(rows))])
+    late = any(result.status == "max_time" for result in outcome.results)
+    more = "a larger max_time, with which the same command goes on" if late else "more iterations"
     return (
         f"no start ended with all constraints satisfied. The nearest is start {near.start}: {name!r} is beyond its limit by "
-        f"{near.violation:.3g} (a share of the limit). Allowed: more iterations, other starts, another limit"
+        f"{near.violation:.3g} (a share of the limit). Allowed: {more}, other starts, another limit"
     )
 
 

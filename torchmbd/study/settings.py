@@ -18,7 +18,7 @@ from torch import Tensor
 from torchmbd.design import Tradeoff
 from torchmbd.errors import InputError, argument_names, nearest, unknown
 from torchmbd.math.checked_numbers import positive
-from torchmbd.math.units import QUANTITIES, shown
+from torchmbd.math.units import quantity, shown
 from torchmbd.multibody.system import System
 from torchmbd.optimization import OPTIMIZERS, RobustProblem, Starts
 from torchmbd.optimization.api import FEASIBILITY, checked_box, require_limits
@@ -132,7 +132,7 @@ class StudySettings(Summary):
         names = list(self.problem.names)
         names = names[:-1] if self.has_extra_variable else names
         parameters = [name.rpartition("[")[0] or name for name in names]
-        angles = {name: "deg" for name in parameters if QUANTITIES.get(name.rpartition(".")[2]) == "rad"}
+        angles = {name: "deg" for name in parameters if quantity(name) == "rad"}
         if units is not None and not isinstance(units, Mapping):
             raise InputError("units", units, "parameter -> unit")
         for parameter, unit in (units or {}).items():
@@ -142,6 +142,10 @@ class StudySettings(Summary):
                 raise unknown("unit", unit, UNITS, ("units", parameter))
         scalars = [] if self.system is None else [n for n, x in self.system.named_parameters() if not x.ndim]
         return Columns.of(names, angles | dict(units or {}), scalars)
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        searches = f"{len(self.problem.names)} design variables, {self.starts.count} starts, {self.method}"
+        return [("name", self.name), ("question", self.question or "none"), ("problem", searches)]
 
     def _checked_increments(self, increments: Mapping[str, float | Tensor] | None) -> list[float | None]:
         """Return the increment of each design variable [SI], None where it takes any value."""

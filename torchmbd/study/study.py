@@ -140,9 +140,7 @@ class Study(StudySettings):
         return self._searches.plot()
 
     def _summary(self) -> list[tuple[str, Any]]:
-        rows: list[tuple[str, Any]] = [("name", self.name), ("question", self.question or "none")]
-        count = len(self.problem.names)
-        rows.append(("problem", f"{count} design variables, {self.starts.count} starts, {self.method}"))
+        rows = super()._summary()
         if self.outcome is None:
             return [*rows, ("status", "has not run in this process")]
         rows.append(("status", self.status))

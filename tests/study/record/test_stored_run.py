@@ -20,6 +20,8 @@ pytestmark = pytest.mark.usefixtures("compiled")
 @pytest.mark.thorough
 def test_system_and_motion_are_rebuilt(finished):
     study = mbd.load(finished.runs[0][:10], finished.uri, finished.folder / "rod_model.py")
+    assert "best" in repr(study)
+    assert "name" in repr(study.study)
     metrics = find(finished.uri, finished.runs[0]).metrics
     assert study.value == metrics["objective"]
     shown = [metrics[f"design/angle_{k}_deg"] for k in (1, 2)]

@@ -38,6 +38,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.materials.failure_modes import MODES
 from torchmbd.math.checked_numbers import is_real
+from torchmbd.math.gradients import untransformed
 from torchmbd.math.variable import check_positive, number, stacked
 
 #: The stresses and strains of a ply, in this order; 1 = fiber, 3 = thickness. Shear strains are engineering strains.
@@ -172,3 +173,13 @@ def missing_strength(body: str) -> InputError:
     """Build the error for a body of which a ply has no strength."""
     allowed = "Ply(..., strength=Strength(...))"
     return InputError("body", body, allowed, state="has no strength", noun=f"a ply of body {body!r}")
+
+
+def required_strength(body: str, numbers: Float[Tensor, "... 8"] | None, criterion: str) -> Float[Tensor, "... 8"]:
+    """Return strengths of plies; InputError where one lacks them, or those that the criterion compares with."""
+    if numbers is None:
+        raise missing_strength(body)
+    if criterion == "interlaminar" and bool(untransformed(numbers)[..., 5:7].isinf().all(-1).any()):
+        allowed, state = "Strength(..., S13=..., S23=...), or another criterion", "has infinite strengths S13 and S23"
+        raise InputError("criterion", criterion, allowed, state=state, noun=f"{criterion!r}: a ply of body {body!r}")
+    return numbers

@@ -165,9 +165,9 @@ def _variable(name: str, x: np.ndarray) -> str:
         within = np.abs(x).max() <= 90.0
         lower, upper = ("-90", "90") if within else (_listed(x - 90.0), _listed(x + 90.0))
     else:
-        from torchmbd.math.units import NONE, QUANTITIES  # with torch, which the model has imported
+        from torchmbd.math.units import NONE, quantity  # with torch, which the model has imported
 
-        unit = QUANTITIES.get(name.rpartition(".")[2], NONE)
+        unit = quantity(name) or NONE
         largest = np.abs(x).max() or 1.0
         ends = np.where(x == 0.0, -largest, 0.5 * x), np.where(x == 0.0, largest, 2.0 * x)
         lower, upper = _listed(np.minimum(*ends)), _listed(np.maximum(*ends))

@@ -38,7 +38,7 @@ def _in_their_units(settings: dict[str, Numbers | Setting]) -> dict[str, Numbers
         if isinstance(x, Setting):
             if text := units.misfit(name, x.unit):
                 raise fault(f"= {x.value} with unit: {x.unit}: {text}", name)
-        elif units.QUANTITIES.get(name.rpartition(".")[2]) == "rad":
+        elif units.quantity(name) == "rad":
             allowed = f"{{value: {x}, unit: deg}}, or unit: rad"
             raise fault(f"= {x}: is an angle without a unit; allowed: {allowed}", name)
     return settings

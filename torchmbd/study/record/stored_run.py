@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -32,13 +33,14 @@ from torchmbd.study.file.schema import OBJECTIVE_KEYS
 from torchmbd.study.file.yaml_file import Document, read_yaml
 from torchmbd.study.record.paths import problem_key
 from torchmbd.study.settings import StudySettings
+from torchmbd.summary import Summary
 from torchmbd.tracking.catalog import Entry, fetch, find
 from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import StoreURI
 
 
-@dataclass(frozen=True)
-class LoadedStudy:
+@dataclass(frozen=True, repr=False)
+class LoadedStudy(Summary):
     """A study loaded from the store.
 
     entry  its run in the store
@@ -51,6 +53,14 @@ class LoadedStudy:
     study: StudySettings
     x: np.ndarray
     value: float
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        best = f"{self.value:.8g} at {self.study.columns.named(self.x)}"
+        return [
+            *self.study._summary(),
+            ("run", f"{self.entry.run_id[:8]}, {self.entry.status.lower()}"),
+            ("best", best),
+        ]
 
     @property
     def problem(self) -> Problem:

@@ -1,6 +1,6 @@
 """Short names and units of the entries of the design vector, for tables and metrics.
 
-rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg, or rod_laminate_angle_1_deg, if others would have this name)
+rod.laminate.angles[0], deg  ->  angle_1_deg         rod_angle_1_deg, or all words, if others would have this name
 spring.stiffness[0]          ->  stiffness           a parameter that is one number has no others to be distinguished from
 
 The extra variable of a min-max problem or of a worst case, the last of a vector, is not a design and has no column.
@@ -101,7 +101,9 @@ def _short_names(parameters: Sequence[str]) -> dict[str, str]:
     parts = {parameter: parameter.split(".") for parameter in parameters}
     names: dict[str, str] = {}
     for shorter in (lambda p: p[-1:], lambda p: [*p[:-1][:1], p[-1]], lambda p: p):
-        tried = {parameter: "_".join([*(words := shorter(p))[:-1], _singular(words[-1])]) for parameter, p in parts.items()}
+        tried = {
+            parameter: "_".join([*(words := shorter(p))[:-1], _singular(words[-1])]) for parameter, p in parts.items()
+        }
         counts = Counter([*tried.values(), *names.values()])
         names |= {parameter: name for parameter, name in tried.items() if counts[name] == 1}
         parts = {parameter: p for parameter, p in parts.items() if parameter not in names}
