@@ -362,7 +362,15 @@ class Problem(Summary):
             return self._refused(X, gradients, f"failed: {error}")
         each = slopes if slopes is not None else [None] * len(X)
         statuses = self._statuses(motions, len(X))
-        return [evaluation_of(status, v, s, self.rows) for status, v, s in zip(statuses, values, each, strict=True)]
+        measures = self._measures_of_rows
+        return [evaluation_of(status, v, s, measures) for status, v, s in zip(statuses, values, each, strict=True)]
+
+    @property
+    def _measures_of_rows(self) -> list[Measure]:
+        """The measures of the objective and of each row of the constraints, as optimizers see them."""
+        parts = zip(self.constraints, self.constraint_rows, strict=True)
+        rows = [c.measure for c, part in parts for _ in range(part.stop - part.start)]
+        return [self.stated_objective] * (1 + self.rows - len(rows)) + rows
 
     def _motions(self, X: np.ndarray, gradients: bool) -> list[Trajectory]:
         """Motions of designs [lanes, n], one for each system."""

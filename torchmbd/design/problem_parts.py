@@ -5,6 +5,7 @@ Checked in tests/design/test_problem.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from torchmbd.design.measures import Frequency, Mass
 from torchmbd.design.response import Constraint, Measure
+from torchmbd.design.words import words
 from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import list_of
 from torchmbd.multibody.bodies.flexible import FlexibleBody
@@ -118,14 +120,21 @@ def responses_of(
     return responses
 
 
-def evaluation_of(status: str, values: np.ndarray, gradients: np.ndarray | None, rows: int) -> Evaluation:
-    """The evaluation of a design from its status, objective and constraints [1 + rows], and their gradients [1 + rows, n]."""
-    if status == OK and not np.isfinite(values).all():
-        status = "failed: a response is not finite"
-    elif status == OK and gradients is not None and not np.isfinite(gradients).all():
-        status = "failed: the gradient of a response is not finite"
+def evaluation_of(
+    status: str, values: np.ndarray, gradients: np.ndarray | None, measures: Sequence[Measure]
+) -> Evaluation:
+    """The evaluation of a design from its status, objective and constraints [1 + m], and their gradients [1 + m, n].
+
+    measures  of each of these rows
+    """
+    if status == OK and not (finite := np.isfinite(values)).all():
+        measure, x = measures[int(np.argmin(finite))], values[np.argmin(finite)]
+        status = f"failed: {words(measure)} is {'not a number' if math.isnan(x) else 'infinite'}"
+        status += f": {measure.infinite_note}" * bool(measure.infinite_note and math.isinf(x))
+    elif status == OK and gradients is not None and not (finite := np.isfinite(gradients).all(1)).all():
+        status = f"failed: the gradient of {words(measures[int(np.argmin(finite))])} is not finite"
     if status != OK:
-        return Evaluation.failure(status, rows)
+        return Evaluation.failure(status, len(values) - 1)
     if gradients is None:
         return Evaluation(float(values[0]), values[1:])
     return Evaluation(float(values[0]), values[1:], gradients[0], gradients[1:])

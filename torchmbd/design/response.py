@@ -172,6 +172,7 @@ class Measure(ConstantArguments):
 
     rows: int = 1
     error_note: ClassVar[str] = ""  # what an estimate of its error by the steps is worth
+    infinite_note: ClassVar[str] = ""  # when the value is infinite, and what to ask for instead
     drawing: ClassVar[str] = (
         ""  # pictures of such measures in a report, by their name in DRAWINGS of study/report/terminal.py
     )

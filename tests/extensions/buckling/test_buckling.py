@@ -104,6 +104,11 @@ def test_loads_that_only_stiffen_have_no_factor(cells):
     assert torch.isinf(result.factors).all()
     assert result.status.startswith("no buckling")
     assert not bool(result.shapes.any())
+    system = mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("left_edge"))])
+    limit = mbd.BucklingFactor("panel", {"right_edge": (1e3, 0.0, 0.0)}) >= 2.0
+    problem = mbd.Problem(system, 1e-3, mbd.Mass("panel"), [limit], steps=2, variables=["panel.laminate.angles"])
+    [evaluation] = problem.evaluate(problem.start[None], True)
+    assert "buckling factor of panel is infinite" in evaluation.status
 
 
 @pytest.mark.thorough

@@ -54,6 +54,10 @@ class BucklingFactor(Measure):
     """
 
     unit: ClassVar[str] = ""
+    infinite_note: ClassVar[str] = (
+        "the loads only stiffen the body. Allowed: no such constraint, or for the loads of the motion a limit on "
+        "mbd.Max(mbd.BucklingIndex(...)), which is zero there"
+    )
     body: str
     loads: Mapping[Any, Sequence[float]] | None = None
     supports: Mapping[Any, str | Sequence[float | None]] | None = None
