@@ -28,8 +28,8 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.adjoint import MARKED
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.segment import DURATION, Segment, is_single
-from torchmbd.integrate.prepared import differentiable
+from torchmbd.integrate.phases.segment import DURATION, Segment, keep_equations
+from torchmbd.integrate.prepared import of_leaves_named
 from torchmbd.integrate.retries import LaneResults, integrate_again
 from torchmbd.math.pair import Pair, linear
 from torchmbd.multibody.system import Dynamics
@@ -57,17 +57,18 @@ class ReverseIntegration(IntegratedMotion):
             raise InputError("duration", allowed="one duration for all designs", state="is a batch of torch.vmap")
         moves = zip(self.designs, inputs[len(self.names) :], strict=True)
         designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in moves}
-        single = is_single(self.segments, self.model.topology)
-        work = (*self.integrator.work, "adjoint") if single else ()
+        keeps = keep_equations(self.segments, self.model.topology)
+        work = (*self.integrator.work, "adjoint") if keeps else ()
         dynamics = with_backend(replace(self.model, data=data), self.backend, work)
         lanes = dynamics.lanes  # of torch.vmap; what has no part in it has one
         designs = {name: x.expand(lanes, *x.shape[1:]) for name, x in designs.items()}
         self.problem = self._problem_of(dynamics, designs)
-        of_leaves = differentiable(dynamics, self.differentiated) if self.differentiated and single else dynamics
+        of_leaves = of_leaves_named(dynamics, self.differentiated)
         self.integrate(replace(self.problem, dynamics=of_leaves), 0)
-        if single:
-            self.dynamics = dynamics.share_rank(self.dynamics)  # without the graph of the leaves
-            self.dynamics.evaluate_rank()
+        if self.results.data is None:
+            self.dynamics = dynamics  # without the leaves
+        if keeps:
+            self.dynamics.share_rank(of_leaves).evaluate_rank()
         self.outputs = self._outputs(self.results)
         return self.outputs.values()
 
