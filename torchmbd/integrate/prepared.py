@@ -69,7 +69,7 @@ def of_leaves(dynamics: Dynamics) -> Iterator[tuple[str, ...]]:
         yield leaves
 
 
-def of_leaves_named(dynamics: Dynamics, names: Sequence[str]) -> Dynamics:
+def with_leaves(dynamics: Dynamics, names: Sequence[str]) -> Dynamics:
     """The dynamics with leaves [component..., 1, lanes] for the data of these names."""
     leaves = {name: leaf(expanded(dynamics.data[name], dynamics.lanes)) for name in names}
     return replace(dynamics, data={**dynamics.data, **leaves}) if leaves else dynamics

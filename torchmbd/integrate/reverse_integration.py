@@ -2,7 +2,7 @@
 
     inputs    the data of the reduced model, in the order of `names`; where events end segments also designs
               [component..., 1, lanes]: events and impact maps may depend on these, and on the mode shapes that follow from them
-    outputs   outputs.py; states of a single segment are those of its condensed system
+    outputs   outputs.py; where all segments have the equations of the whole, states are those of the condensed system
 
 Tangents are integrated when they are asked for, together with the values once more, by the steps that gave these. Those by the
 duration are made by operators of torch (`MovingSteps`).
@@ -29,7 +29,7 @@ from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.adjoint import MARKED
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.segment import DURATION, Segment, keep_equations
-from torchmbd.integrate.prepared import of_leaves_named
+from torchmbd.integrate.prepared import with_leaves
 from torchmbd.integrate.retries import LaneResults, integrate_again
 from torchmbd.math.pair import Pair, linear
 from torchmbd.multibody.system import Dynamics
@@ -63,7 +63,7 @@ class ReverseIntegration(IntegratedMotion):
         lanes = dynamics.lanes  # of torch.vmap; what has no part in it has one
         designs = {name: x.expand(lanes, *x.shape[1:]) for name, x in designs.items()}
         self.problem = self._problem_of(dynamics, designs)
-        of_leaves = of_leaves_named(dynamics, self.differentiated)
+        of_leaves = with_leaves(dynamics, self.differentiated)
         self.integrate(replace(self.problem, dynamics=of_leaves), 0)
         if self.results.data is None:
             self.dynamics = dynamics  # without the leaves
