@@ -48,7 +48,7 @@ def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
         section = _section(numbers, L, number(ply.E1), number(ply.G12), number(density))
     except InputError as error:
         raise within(card, error) from None
-    section.alpha = ply.alpha1
+    section.alpha = None if ply.alpha1 is None else number(ply.alpha1)
     return section
 
 
