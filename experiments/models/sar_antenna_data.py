@@ -21,6 +21,8 @@ IM6: dict[str, Any] = {
     "G23": 8.504e9,
     "nu12": 0.27,
     "density": 1600.0,
+    "alpha1": -0.3e-6,
+    "alpha2": 28e-6,
 }
 LENGTH, WIDTH, PLY = 1.994, 1.300, 0.5e-3
 STOWED, DAMPING, DURATION = 3.12, 0.5, 3.0
@@ -36,6 +38,7 @@ _BENDING = {"spectral_radius": 0.6, "iterations": (5, 1)}
 INTEGRATOR: dict[str, dict[str, Any]] = {"rigid": {}, "beam": _BENDING, "tube": _BENDING}
 LABELS = {
     "material": "given",
+    "coefficients of expansion": "chosen",
     "panels": "given",
     "lay-ups": "given",
     "counts of bodies and joints": "given",

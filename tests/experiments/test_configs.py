@@ -21,11 +21,11 @@ pytestmark = pytest.mark.usefixtures("compiled")
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
 DATA = {file: read_yaml(file).data for file in CONFIGS}
 # Phases and windows need all their time: those files have tests of their own, test_sar_antenna_whole.py and so on;
-# those that fit a model to measurements: tests/extensions/identification/test_files.py.
+# those that fit a model to measurements: tests/extensions/identification/test_files.py; fronts: tests/study/test_study.py.
 STUDIES = [
     file
     for file, data in DATA.items()
-    if not data.keys() & {"figures", "identify"}
+    if not data.keys() & {"figures", "identify", "tradeoff"}
     and "phases" not in data["simulate"]
     and file.parent.name != "spatial_arm"
 ]

@@ -23,9 +23,11 @@ from experiments.models.sar_antenna_data import (
     INTEGRATOR,
     KNOTS,
     LENGTH,
+    PLY,
     STOWED,
     WIDTH,
 )
+from experiments.models.sar_antenna_flatness import flatness
 from experiments.models.sar_antenna_whole import unlocked
 from experiments.paper.antenna_tables import OBJECTIVE, gradient, reaches_zero
 
@@ -159,3 +161,25 @@ def test_errors_name_the_argument():
         build(law="jumpy")
     with pytest.raises(mbd.InputError, match="allowed: cells in multiples of"):
         build(cells=(10, 4))
+
+
+@pytest.mark.thorough
+def test_flatness_in_the_sun():
+    """The closed form against the nodes of a panel of elements that is held at one point, by their best plane."""
+    system = build((20.0, -50.0, 75.0, 10.0), cells=(16, 8), modes=2, reduction="craig-bampton")
+    expected = flatness(mbd.simulate(system, 1e-3, steps=2, backend="eager"), "panel2", 10.0)
+    mesh = mbd.mesh.rectangle(LENGTH, WIDTH, (16, 8))
+    laminate = system.body("panel2").laminate
+    panel = mbd.FlexibleBody.plate("panel", mesh, laminate, 1, reference="center", expansion=True)
+    hold, sun = mbd.Fixed(mbd.Ground().at(), panel.at("center")), mbd.Temperature(panel, gradient=10.0 / (4 * PLY))
+    w = mbd.equilibrium(mbd.System([panel], [hold], [sun], truncation=None)).body("panel").w[0, 0]
+    x, y = mesh.nodes[:, :2].T
+    planes = torch.stack([torch.ones_like(x), x, y], 1)
+    simpson = torch.ones_like(x)
+    for s, length, cells in ((x, LENGTH, 16), (y, WIDTH, 8)):
+        k = ((s / length + 0.5) * cells).round()
+        simpson = simpson * torch.where((k == 0) | (k == cells), 1.0, torch.where(k % 2 == 1, 4.0, 2.0))
+    share = (simpson / simpson.sum()).sqrt()[:, None]  # of the area
+    moved = share * (panel.structure()["psi"] @ w).detach()[:, 2:3]
+    rest = moved - share * planes @ torch.linalg.lstsq(share * planes, moved).solution
+    assert float(rest.norm()) == pytest.approx(float(expected.detach()), rel=2e-3)

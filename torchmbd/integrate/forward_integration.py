@@ -23,7 +23,7 @@ from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.phase import Phase
-from torchmbd.integrate.phases.segment import actions_of, is_single, segments_of
+from torchmbd.integrate.phases.segment import actions_of, keep_equations, segments_of
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import System
@@ -51,7 +51,7 @@ class ForwardIntegration(IntegratedMotion):
         designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
         self.problem = self._problem(designs)
         self.integrate(self.problem, len(self.labels))
-        if self.problem.is_single:
+        if self.problem.keeps_equations:
             self.dynamics.evaluate_rank()
         data = {name: x for name, x in self.dynamics.data.items() if isinstance(x, Pair) or x.shape[-1] > 1}
         self.outputs = Outputs.of(self.history, self.switches, self.validity, data)
@@ -66,7 +66,7 @@ class ForwardIntegration(IntegratedMotion):
         self.system, segments = segments_of(system, self.phases, self.duration)
         dynamics = replace(self.system.equations(), data=dynamics.data)
         self.actions = actions_of(segments, dynamics.topology)
-        work = self.integrator.work if is_single(segments, dynamics.topology) else ()
+        work = self.integrator.work if keep_equations(segments, dynamics.topology) else ()
         dynamics = with_backend(dynamics, self.backend, work)
         events = designs if any(segment.ends_by_event for segment in segments) else {}
         directions = unit_directions({name: designs[name] for name in self.variables if name in events})

@@ -16,7 +16,7 @@ from torchmbd.integrate.lanes import lanes_of
 from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.run import MultiphaseRun
-from torchmbd.integrate.phases.segment import Segment, is_single, single_segment
+from torchmbd.integrate.phases.segment import Segment, keep_equations, single_segment
 from torchmbd.multibody.system.dynamics import Dynamics
 
 
@@ -39,9 +39,9 @@ class InitialValueProblem:
         return cls(dynamics, single_segment(dynamics), Views.of(None, dynamics, {}), duration)
 
     @property
-    def is_single(self) -> bool:
-        """True if there is one segment, in which all joints and laws act."""
-        return is_single(self.segments, self.dynamics.topology)
+    def keeps_equations(self) -> bool:
+        """True if all joints and laws act in every segment."""
+        return keep_equations(self.segments, self.dynamics.topology)
 
     def integrate(self, integrator: Integrator, steps: int) -> IntegrationResult:
         """States of all lanes at steps + 1 equal times, with tangents where the dynamics have any."""

@@ -5,7 +5,8 @@ Checked in tests/multibody/saddle/test_condensation.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -14,13 +15,13 @@ from torch import Tensor
 
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.pullback import leaf
-from torchmbd.math.pair import Pair, linear
+from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.state import State
 
 
 class Prepared(NamedTuple):
-    """A system, the condensed system, and the initial states of that and of the whole; one where nothing is condensed.
+    """A system, the condensed system, and the initial states of this and of the whole; one where nothing is condensed.
 
     leaves   names of the data that are leaves of torch, of which all this is a function
     """
@@ -33,40 +34,49 @@ class Prepared(NamedTuple):
 
     def detached(self) -> Prepared:
         """The same without a graph of torch."""
-        whole = _detached(self.whole)
-        condensed = whole if self.condensed is self.whole else _detached(self.condensed)
+        whole = detached(self.whole)
+        condensed = whole if self.condensed is self.whole else detached(self.condensed)
         start, state = (x.map(lambda y: linear(Tensor.detach, y)) for x in (self.start, self.state))
         return Prepared(whole, condensed, start, state)
 
 
 def prepare(dynamics: Dynamics) -> Prepared:
-    """Initial state and condensed system, made once for a `Dynamics`; grad mode of the first call decides on a graph."""
+    """Initial state and condensed system, made once for a `Dynamics`; with a graph of torch from data that are leaves."""
     if dynamics.prepared is None:
-        state, condensed = initial(dynamics), dynamics.condensed()
-        x = state
-        if condensed is not dynamics:
-            x = condensed.initial.condensation.retained_state(state)
-            x = x._replace(lam=condensed.zero_left_out(x.lam))
-        dynamics.prepared = Prepared(dynamics, condensed, x, state)
+        with of_leaves(dynamics) as leaves:
+            state, condensed = initial(dynamics), dynamics.condensed()
+            x = state
+            if condensed is not dynamics:
+                x = condensed.initial.condensation.retained_state(state)
+                x = x._replace(lam=condensed.zero_left_out(x.lam))
+        dynamics.prepared = Prepared(dynamics, condensed, x, state, leaves)
     return dynamics.prepared
 
 
 def prepare_whole(dynamics: Dynamics) -> Prepared:
     """The same for steps of the whole system."""
-    state = initial(dynamics)
-    return Prepared(dynamics, dynamics, state, state)
+    with of_leaves(dynamics) as leaves:
+        state = initial(dynamics)
+    return Prepared(dynamics, dynamics, state, state, leaves)
 
 
-def differentiable(dynamics: Dynamics, names: Sequence[str]) -> Dynamics:
-    """The dynamics as a function of leaves [component..., 1, lanes] of these names, the initial state included."""
+@contextmanager
+def of_leaves(dynamics: Dynamics) -> Iterator[tuple[str, ...]]:
+    """Names of the data that are leaves of torch; inside, grad mode is on where there are any."""
+    plain = {name: value(x) for name, x in dynamics.data.items()}
+    leaves = tuple(name for name, x in plain.items() if x.requires_grad and x.is_leaf)
+    with torch.set_grad_enabled(bool(leaves)):
+        yield leaves
+
+
+def with_leaves(dynamics: Dynamics, names: Sequence[str]) -> Dynamics:
+    """The dynamics with leaves [component..., 1, lanes] for the data of these names."""
     leaves = {name: leaf(expanded(dynamics.data[name], dynamics.lanes)) for name in names}
-    of_leaves = replace(dynamics, data={**dynamics.data, **leaves})
-    with torch.enable_grad():
-        of_leaves.prepared = prepare(of_leaves)._replace(leaves=tuple(names))
-    return of_leaves
+    return replace(dynamics, data={**dynamics.data, **leaves}) if leaves else dynamics
 
 
-def _detached(dynamics: Dynamics) -> Dynamics:
+def detached(dynamics: Dynamics) -> Dynamics:
+    """The dynamics without a graph of torch."""
     plain = replace(dynamics, data={name: linear(Tensor.detach, x) for name, x in dynamics.data.items()})
     plain.known_rank = dynamics.known_rank
     return plain

@@ -2,7 +2,7 @@
 
     inputs    the data of the reduced model, in the order of `names`; where events end segments also designs
               [component..., 1, lanes]: events and impact maps may depend on these, and on the mode shapes that follow from them
-    outputs   outputs.py; states of a single segment are those of its condensed system
+    outputs   outputs.py; where all segments have the equations of the whole, states are those of the condensed system
 
 Tangents are integrated when they are asked for, together with the values once more, by the steps that gave these. Those by the
 duration are made by operators of torch (`MovingSteps`).
@@ -28,8 +28,8 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.adjoint import MARKED
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.segment import DURATION, Segment, is_single
-from torchmbd.integrate.prepared import differentiable
+from torchmbd.integrate.phases.segment import DURATION, Segment, keep_equations
+from torchmbd.integrate.prepared import with_leaves
 from torchmbd.integrate.retries import LaneResults, integrate_again
 from torchmbd.math.pair import Pair, linear
 from torchmbd.multibody.system import Dynamics
@@ -57,17 +57,18 @@ class ReverseIntegration(IntegratedMotion):
             raise InputError("duration", allowed="one duration for all designs", state="is a batch of torch.vmap")
         moves = zip(self.designs, inputs[len(self.names) :], strict=True)
         designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in moves}
-        single = is_single(self.segments, self.model.topology)
-        work = (*self.integrator.work, "adjoint") if single else ()
+        keeps = keep_equations(self.segments, self.model.topology)
+        work = (*self.integrator.work, "adjoint") if keeps else ()
         dynamics = with_backend(replace(self.model, data=data), self.backend, work)
         lanes = dynamics.lanes  # of torch.vmap; what has no part in it has one
         designs = {name: x.expand(lanes, *x.shape[1:]) for name, x in designs.items()}
         self.problem = self._problem_of(dynamics, designs)
-        of_leaves = differentiable(dynamics, self.differentiated) if self.differentiated and single else dynamics
+        of_leaves = with_leaves(dynamics, self.differentiated)
         self.integrate(replace(self.problem, dynamics=of_leaves), 0)
-        if single:
-            self.dynamics = dynamics.share_rank(self.dynamics)  # without the graph of the leaves
-            self.dynamics.evaluate_rank()
+        if self.results.data is None:
+            self.dynamics = dynamics  # without the leaves
+        if keeps:
+            self.dynamics.share_rank(of_leaves).evaluate_rank()
         self.outputs = self._outputs(self.results)
         return self.outputs.values()
 

@@ -42,7 +42,8 @@ class History:
     expansion     leads to the whole system; None: it is the whole
     times         [times] [s]; None: equal intervals over the duration
     refined       lanes that were integrated again, mostly by smaller steps
-    segment       number of the segment that each state is in, -1: in none [times, 1, lanes]; None: there is one segment
+    segment       number of the segment that each state is in, -1: in none [times, 1, lanes]; None: all have the same
+                  equations
     run           that made them (integrate/phases/run.py); None: these states are a part of another history
     """
 

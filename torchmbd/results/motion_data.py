@@ -122,7 +122,7 @@ class MotionData(Summary):
     parameters  names of the design variables of the sensitivities, one for each tangent
     switches    those into the second phase and all later ones
     good        which lanes have not failed [lanes], also where torch.func.vmap makes several motions of one; None: all
-    actions     applied forces of each segment; none where a single one has all joints and laws of the system
+    actions     applied forces of each segment; none where each has all joints and laws of the system
     variables   designs by which the motion is differentiable, by name [lanes, ...]: inputs of torch.autograd.grad
     turns       of an instant of a motion that is being integrated: what its angles continue (turns.py)
     integration how it was integrated, with its tangents if it has any (forward_integration.py, reverse_integration.py)
@@ -166,8 +166,8 @@ class MotionData(Summary):
 
     @property
     def is_single(self) -> bool:
-        """True if the motion has one segment, in which all joints and laws of the system act."""
-        return not self.actions
+        """True if the motion has no switches, and all joints and laws of the system act."""
+        return not self.actions and not self.switches
 
     @property
     def q(self) -> Tensor:

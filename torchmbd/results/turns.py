@@ -10,6 +10,7 @@ Checked in tests/design/test_angle.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -50,14 +51,15 @@ class Turns:
     """Angles of lanes at the recorded times of a motion that is being integrated.
 
     base     a motion of all lanes with the system and its designs
-    times    of the record [times];  q, v  states [times, n, pair, lanes], nan where nothing is recorded yet
+    times    of the record [times];  q: its coordinates [times, n, pair, lanes], nan where nothing is recorded yet
+    states   q and v of the whole system [rows, n, pair, lanes] at some of these times
     lanes    those of an instant;  now: its times [lanes], or [1] for all
     """
 
     base: Any
     times: Tensor
     q: Tensor
-    v: Tensor
+    states: Callable[[Tensor], tuple[Tensor, Tensor]]
     lanes: list[int] = field(default_factory=list)
     now: Tensor | None = None
     _angles: dict[str, tuple[Tensor, Tensor]] = field(default_factory=dict)
@@ -92,7 +94,7 @@ class Turns:
         rows = torch.nonzero(new.any(1))[:, 0]
         if not len(rows):
             return angles, rates
-        x = {name: y[rows, :, 0].permute(2, 0, 1) for name, y in (("q", self.q), ("v", self.v))}
+        x = {name: y[:, :, 0].permute(2, 0, 1) for name, y in zip(("q", "v"), self.states(rows), strict=True)}
         recorded = replace(self.base, t=self.times[rows], signals=TensorSignals(x), turns=None, known=None)
         wrapped, wrapped_rates = (y.detach().T for y in angle.wrapped_jet(recorded))
         for i, a, w in zip(rows.tolist(), wrapped, wrapped_rates, strict=True):

@@ -51,7 +51,7 @@ from torchmbd.integrate.phases.segment import (
     Segment,
     actions_of,
     check_order,
-    is_single,
+    keep_equations,
     segments_of,
     times_of,
 )
@@ -75,7 +75,7 @@ class _Preparation(NamedTuple):
     topology, stabilization   of the system when it was prepared
     system                    the same with the start of the motions;  whole: with the locks of its phases as well
     segments                  of the phases
-    is_single                 whether there is one segment, in which all joints and laws act
+    keeps_equations           whether all joints and laws act in every segment
     """
 
     topology: Topology
@@ -85,7 +85,7 @@ class _Preparation(NamedTuple):
     whole: System
     segments: list[Segment]
     integrator: Integrator
-    is_single: bool
+    keeps_equations: bool
 
 
 class Simulation(Summary):
@@ -207,9 +207,9 @@ class Simulation(Summary):
             from_start = system if is_assembled else system.starting(start)
             whole, segments = _segments(from_start, self.phases, self.seconds)
         integrator = self._integrator.with_defaults(from_start.topology)
-        single = is_single(segments, whole.topology)
+        keeps = keep_equations(segments, whole.topology)
         of_system = system.topology, system.stabilization
-        self._known = _Preparation(*of_system, start, from_start, whole, segments, integrator, single)
+        self._known = _Preparation(*of_system, start, from_start, whole, segments, integrator, keeps)
         return self._known
 
     @exclusive
@@ -254,7 +254,8 @@ class Simulation(Summary):
             intervals = integrator.stored_intervals(steps) if steps else FEWEST
             tangents = sum(x[0].numel() for name, x in batch.items() if name in names)
             require_memory(system, lanes, intervals, tangents, gradients != "forward")
-            if gradients == "forward" or not prepared.is_single or not integrator.adjoint:
+            has_switches = len(prepared.segments) > 1 or not prepared.keeps_equations
+            if gradients == "forward" or has_switches or not integrator.adjoint:
                 refuse_dual_level(batch)
             forward = gradients == "forward" or not isinstance(integrator, OneStep)
             if forward:

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 import torch
-from tests.integrate.test_jumps import exact, held, turned
 from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.diagnosis.test_jumps import exact, held, turned
 from tests.integrate.test_contacts import dropped, thrown
 from tests.mechanisms import finished, tensor
 from tests.sensitivity.test_phase_adjoint import ANGLES, CASES, simulated

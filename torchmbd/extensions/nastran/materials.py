@@ -1,6 +1,7 @@
 """Plies from the material cards of a Nastran model, in SI units.
 
-    MAT1, MAT8    -> Ply; strengths where all are given (MAT8: Xt, Xc, Yt, Yc, S; F12 as Tsai-Wu's interaction)
+    MAT1, MAT8    -> Ply; strengths where all are given (MAT8: Xt, Xc, Yt, Yc, S; F12 as Tsai-Wu's interaction); coefficients
+                     of thermal expansion (A; A1, A2), per degree of the file, None where they are blank
 
 Shells: shells.py, sections of bars: sections.py. G1Z, G2Z of MAT8 that are blank mean infinite stiffness in Nastran; here they
 are taken as G12, with a warning.
@@ -108,7 +109,15 @@ def _isotropic(card: Card, units: Units, weight_to_mass: float) -> Ply:
     limits = [card.real(k, name, 0.0) * units.stress for k, name in ((9, "ST"), (10, "SC"), (11, "SS"))]
     tension, compression, shear = limits
     strength = Strength(tension, compression, tension, compression, shear) if min(limits) > 0 else None
-    return Ply(E, E, G, G, G, nu, density_of(card, 5, units, weight_to_mass), strength)
+    (alpha,) = _expansion(card, (6, "A"))
+    density = density_of(card, 5, units, weight_to_mass)
+    return Ply(E, E, G, G, G, nu, density, strength, alpha1=alpha, alpha2=alpha)
+
+
+def _expansion(card: Card, *fields: tuple[int, str]) -> list[float | None]:
+    """Coefficients of thermal expansion; None if all are blank, and zero for one that is blank beside others."""
+    given = any(card.text(k) for k, _ in fields)
+    return [card.real(k, name, 0.0) if given else None for k, name in fields]
 
 
 def _ply(card: Card, units: Units, weight_to_mass: float) -> Ply:
@@ -129,4 +138,6 @@ def _ply(card: Card, units: Units, weight_to_mass: float) -> Ply:
             F12 = card.real(18, "F12", 0.0) / units.stress**2
             strength = Strength(Xt, Xc, Yt, Yc, S, interaction=F12 * math.sqrt(Xt * Xc * Yt * Yc))
     density = density_of(card, 8, units, weight_to_mass)
-    return Ply(E1, E2, G12, across[0], across[1], card.real(4, "NU12"), density, strength)
+    alpha1, alpha2 = _expansion(card, (9, "A1"), (10, "A2"))
+    nu12 = card.real(4, "NU12")
+    return Ply(E1, E2, G12, across[0], across[1], nu12, density, strength, alpha1=alpha1, alpha2=alpha2)

@@ -45,9 +45,11 @@ def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
     L = units.length
     density = ply.density + extra * units.mass / L * data.weight_to_mass / (numbers.A * L**2)
     try:
-        return _section(numbers, L, number(ply.E1), number(ply.G12), number(density))
+        section = _section(numbers, L, number(ply.E1), number(ply.G12), number(density))
     except InputError as error:
         raise within(card, error) from None
+    section.alpha = None if ply.alpha1 is None else number(ply.alpha1)
+    return section
 
 
 def _section(numbers: SectionNumbers, length: float, E: float, G: float, density: float) -> GivenSection:

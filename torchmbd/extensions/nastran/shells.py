@@ -60,6 +60,7 @@ def _shell(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
         Q_bent = solid * _plane_stiffness(data.material(card, bending), units, data) if bending else MEMBRANE * Q
         G = ratio * _shear_stiffness(data.material(card, shear or bending or middle), units, data)
         ply = _with_extra_mass(_equivalent(material, Q, units, data), card, 8, thickness, data, units)
+        ply = dataclasses.replace(ply, alpha1=None, alpha2=None)  # its expansion is not that of one material
         laminate = DividedLaminate(ply, thickness, Q, Q_bent, G, offset)
     laminate.angles.requires_grad_(False)
     return laminate

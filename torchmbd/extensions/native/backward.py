@@ -74,22 +74,40 @@ class NativeAdjointSolver(AdjointSolver):
         )
 
     def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
+        rows, lanes = rows_of(of_motion), len(self.grid.lanes)
         if self.code is None:
             return super()._segment(number, of_motion, y)
-        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(of_motion), self.segments[number]
+        turned = lanes == 1 < rows and not self.library.called.actions
+        if turned:  # rows of one design fill a block, which would have copies of the design
+            bars = [x if x is None else x.mT for x in of_motion]
+            result = self._compiled_segment(number, bars, y.map(lambda x: x.mT), rows, 1)
+        else:
+            result = self._compiled_segment(number, of_motion, y, lanes, rows)
+        if result is None:
+            self.code = None
+            return super()._segment(number, of_motion, y)
+        return _turned_back(*result) if turned else result
+
+    def _compiled_segment(
+        self, number: int, of_motion: MotionCotangents, y: State, lanes: int, rows: int
+    ) -> tuple[Cotangents, Tensor] | None:
+        """As `_segment`, of so many lanes, all with the numbers of the only one of the grid or with their own; None where
+        factors cannot be relied on."""
+        T, steps, count = self.dynamics.topology, self.segments[number], -(-lanes // LANES)
         schedule, table, moved = self._known(number) if number else self._known_at_first
         h, a = self._history(number, schedule)
-        count, data, moving = len(self.values), self.values.shape[2], moved.shape[3]
-        new = self.values.new_zeros
+        values, moved = (_of_blocks(x, axis, count) for x, axis in ((self.values, 0), (moved, 1)))
+        data, moving = values.shape[2], moved.shape[3]
+        new = values.new_zeros
         slopes, moved_slopes = new(count, rows, data, LANES), new(len(steps), count, rows, moving, LANES)
         state_slopes, error = blocks(torch.cat([expanded(x, lanes) for x in y])), new(count, LANES)
         names, (row_mask, diagonal_shift) = ("q", "v", "vd", "lam"), self.stepper.diagonal or (None, None)
-        arrays: dict[str, Tensor | None] = {"shared": table, "values": self.values, "moved": moved}
-        arrays |= {name: x.contiguous() for name, x in zip(names, h.states, strict=True)}
+        arrays: dict[str, Tensor | None] = {"shared": table, "values": values, "moved": moved}
+        arrays |= {name: expanded(x, lanes).contiguous() for name, x in zip(names, h.states, strict=True)}
         bars = (x if x is None else _spaced(x, steps, self.grid) for x in of_motion)
         arrays |= {f"{name}_bar": x for name, x in zip(names, bars, strict=True)}
         arrays |= {"start": blocks(expanded(a, lanes)), "row_mask": row_mask, "diagonal_shift": diagonal_shift}
-        arrays |= {"negligible": self.negligible, "slopes": slopes, "moved_slopes": moved_slopes}
+        arrays |= {"negligible": _of_blocks(self.negligible, 0, count), "slopes": slopes, "moved_slopes": moved_slopes}
         arrays |= {"state_slopes": state_slopes, "error": error}
         job = _Job(
             lanes=lanes,
@@ -106,8 +124,7 @@ class NativeAdjointSolver(AdjointSolver):
         job.kept = [arrays]
         called, of_strengths = self._called(job, schedule) if self.library.called.actions else (None, new(0))
         if self._run(job):
-            self.code = None
-            return super()._segment(number, of_motion, y)
+            return None
         start = lanes_out(state_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         laws = torch.stack([lanes_out(x, lanes) for x in moved_slopes]) if moving else None
         by = self.library.unflattened(self.dynamics, lanes_out(slopes, lanes))
@@ -117,7 +134,7 @@ class NativeAdjointSolver(AdjointSolver):
     def _run(self, job: _Job) -> int:
         """The steps of a job backwards; 1 where factors cannot be relied on."""
         assert self.code is not None
-        blocks, scratch = len(self.values), self.code.adjoint_scratch(job.mechanism, job.rows, job.steps)
+        blocks, scratch = -(-job.lanes // LANES), self.code.adjoint_scratch(job.mechanism, job.rows, job.steps)
         return run_blocks(partial(self.code.adjoint, ctypes.byref(job)), blocks, scratch=scratch)
 
     def _called(self, job: _Job, schedule: Schedule) -> tuple[FeedbackAdjoint, Tensor]:
@@ -139,6 +156,19 @@ class NativeAdjointSolver(AdjointSolver):
             setattr(job, name, address)
         job.kept.append(arrays)
         return adjoint, of_strengths
+
+
+def _of_blocks(x: Tensor, axis: int, count: int) -> Tensor:
+    """Numbers of so many blocks, in the place of one whose lanes are all equal, or of none."""
+    if x.shape[axis] in (0, count):
+        return x
+    return x.expand(*x.shape[:axis], count, *x.shape[axis + 1 :]).contiguous()
+
+
+def _turned_back(by: Cotangents, error: Tensor) -> tuple[Cotangents, Tensor]:
+    """Cotangents of the rows of one design out of those of as many lanes."""
+    data, laws = {name: x.mT for name, x in by.data.items()}, None if by.laws is None else by.laws.mT
+    return Cotangents(data, laws, by.start.map(lambda x: x.mT)), error.amax(0, keepdim=True)
 
 
 def _lanes(x: Tensor, lanes: int) -> Tensor:

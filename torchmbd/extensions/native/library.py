@@ -154,6 +154,7 @@ def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
 
 
 _mechanisms: WeakKeyDictionary[Topology, dict[str, Any]] = WeakKeyDictionary()
+_keys: WeakKeyDictionary[Topology, dict[tuple, str]] = WeakKeyDictionary()
 _value_blocks: WeakKeyDictionary[Dynamics, Tensor] = WeakKeyDictionary()
 
 
@@ -239,7 +240,11 @@ def with_traced_laws(dynamics: Dynamics) -> Dynamics:
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
-    return digest(kind, simd_layout.LANES, data.kind_of(dynamics), toolchain_digest(_SOURCES))
+    known, of = _keys.setdefault(dynamics.topology, {}), (kind, simd_layout.LANES, toolchain_digest(_SOURCES))
+    names = frozenset(dynamics.data)
+    if (*of, names) not in known:
+        known[*of, names] = digest(*of, data.kind_of(dynamics))
+    return known[*of, names]
 
 
 def build(name: str, kind: str, text: str, system: str) -> Path:

@@ -41,12 +41,13 @@ def _material(number: int, ply: Ply, units: Units) -> list[str | int | float]:
     moduli = [float(x) / units.stress for x in (ply.E1, ply.E2)]
     shear = [float(x) / units.stress for x in (ply.G12, ply.G13, ply.G23)]
     fields = [number, *moduli, float(ply.nu12), *shear, float(ply.density) / units.density]
+    expansion = ["" if x is None else float(x) for x in (ply.alpha1, ply.alpha2)]
     if ply.strength is None:
-        return fields
+        return [*fields, *expansion]
     s = ply.strength
     limits = [float(x) for x in (s.Xt, s.Xc, s.Yt, s.Yc, s.S12)]
     mixed = float(s.interaction) / math.sqrt(math.prod(limits[:4])) * units.stress**2
-    return [*fields, "", "", "", *(x / units.stress for x in limits), "", mixed]
+    return [*fields, *expansion, "", *(x / units.stress for x in limits), "", mixed]
 
 
 def _property(number: int, stack: Stack, units: Units) -> list[str | int | float]:

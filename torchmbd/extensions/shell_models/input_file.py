@@ -4,8 +4,8 @@
     linear      S4, S3: of Abaqus
 
 Each set of cells whose laminates lie alike has a section, each ply angle in it an orientation: its axes 1 and 2. The numbers
-E3, nu13 and nu23 that these files ask for do not enter plane stress: E3 is E2, the ratios are zero. Both programs read twenty
-columns of a number: CalculiX would take 6.123233995736766e-17, the cosine of 90 degrees, for 0.61.
+E3, nu13, nu23 and alpha3 that these files ask for do not enter plane stress: E3 is E2, alpha3 is alpha2, the ratios are zero.
+Both programs read twenty columns of a number: CalculiX would take 6.123233995736766e-17, the cosine of 90 degrees, for 0.61.
 Source: CalculiX CrunchiX User's Manual 2.20; Abaqus Keywords Reference Guide.
 Checked in tests/extensions/shell_models/test_write_model.py, where CalculiX is installed against its frequencies.
 """
@@ -90,7 +90,11 @@ def _material(number: int, ply: Ply, units: Units) -> list[str]:
     E1, E2, G12, G13, G23 = (float(x) / units.stress for x in (ply.E1, ply.E2, ply.G12, ply.G13, ply.G23))
     moduli = ", ".join(map(_number, (E1, E2, E2, float(ply.nu12), 0.0, 0.0, G12, G13)))
     lines = [f"*MATERIAL, NAME=PLY_{number}", "*ELASTIC, TYPE=ENGINEERING CONSTANTS", f"{moduli},", _number(G23)]
-    return [*lines, "*DENSITY", _number(float(ply.density) / units.density)]
+    lines += ["*DENSITY", _number(float(ply.density) / units.density)]
+    if ply.alpha1 is None or ply.alpha2 is None:
+        return lines
+    alpha1, alpha2 = float(ply.alpha1), float(ply.alpha2)
+    return [*lines, "*EXPANSION, TYPE=ORTHO", ", ".join(map(_number, (alpha1, alpha2, alpha2)))]
 
 
 def _section(stack: Stack, number: int, elset: str, axes: np.ndarray, units: Units) -> list[str]:

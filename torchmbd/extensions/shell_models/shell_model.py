@@ -116,4 +116,5 @@ def _constant(layer: Any) -> Ply:
     """The ply with the present values of its variables."""
     ply = without_variables(layer)
     E1, E2, G12, G13, G23 = (float(x) for x in (ply.E1, ply.E2, ply.G12, ply.G13, ply.G23))
-    return Ply(E1, E2, G12, G13, G23, float(ply.nu12), float(ply.density), ply.strength, float(ply.loss))
+    expansion = [None if x is None else float(x) for x in (ply.alpha1, ply.alpha2)]
+    return Ply(E1, E2, G12, G13, G23, float(ply.nu12), float(ply.density), ply.strength, float(ply.loss), *expansion)

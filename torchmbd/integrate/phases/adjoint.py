@@ -208,18 +208,16 @@ class RunAdjoint:
         rows: int,
     ) -> None:
         """As `_steps`, for lanes with the same points of the grid, and the same number `base` of steps to their base."""
-        run, lanes, c = self.run, [so_far.lanes[i] for i in group], self._left_out(record)
+        run, lanes = self.run, [so_far.lanes[i] for i in group]
         at = slice(-(-points.start // run.every), points[-1] // run.every + 1)
-        rows_of_steps = self._rows_of_steps(record)
         in_phase = run.phase_number[at.start * run.every : points.stop : run.every]
         in_phase = pick_lanes(in_phase, lanes) == record.number
         every_point = bool(in_phase.all())
         of_states: list[Tensor | None] = [None] * len(cotangents)
         for i, x in enumerate(cotangents):
             if x is not None:
-                x = pick_lanes((x if rows_of_steps is None or i < 3 else x[:, rows_of_steps])[at], lanes)
-                x = x if every_point else torch.where(in_phase[:, None, None], x, 0.0)
-                of_states[i] = x if c is None or i == 3 else c.of_whole(i, x)
+                x = self._of_steps(record, i, pick_lanes(x[at], lanes))
+                of_states[i] = x if every_point else torch.where(in_phase[:, None, None], x, 0.0)
         by_start = end = None  # cotangents of the first state, and of the one at the base of the last step
         if so_far.end is not None and base >= 0:
             end = State(*(x[..., 0, group].movedim(0, -2) for x in so_far.end))
@@ -247,6 +245,16 @@ class RunAdjoint:
             so_far.arrival = so_far.arrival or zeros(rows, pick_states(record.arrival, so_far.lanes))
             for total, x in zip(so_far.arrival, by_start, strict=True):
                 total[..., group] = x.movedim(-2, 0).unsqueeze(-2)
+
+    def _of_steps(self, record: PhaseRecord, i: int, x: Tensor) -> Tensor:
+        """Cotangents [times, n, rows, lanes] of the states of the steps, from those of the states of the run.
+
+        i   their part: q, v, v' or lam
+        """
+        c, rows = self._left_out(record), self._rows_of_steps(record)
+        if i == 3:
+            return x if rows is None else x[:, rows]
+        return x if c is None else c.of_whole(i, x)
 
     def _left_out(self, record: PhaseRecord) -> Condensation | None:
         """The condensation that leads from states of the run to states of the steps; None: both are the same."""
@@ -388,7 +396,7 @@ class RunAdjoint:
         motion: MotionCotangents,
     ) -> tuple[list[Tensor], list[Tensor | None]]:
         """What follows from a switch, with its cotangents: time, state after it, arrivals, points of the grid between."""
-        run, lanes, segment = self.run, so_far.lanes, self.run.segments[record.number]
+        run, lanes = self.run, so_far.lanes
         outputs: list[Tensor] = [] if so_far.start is None else [t, *after]
         of_outputs: list[Tensor | None] = [*(so_far.start or [])]
         first, on_grid = record.first[lanes], record.on_grid[lanes]
@@ -408,10 +416,10 @@ class RunAdjoint:
         between = run.phase_number[:: run.every, lanes] == record.number
         between &= run.every * torch.arange(len(between))[:, None] < first
         for k in lane_numbers(between.any(1)):
-            y = shortly_after(dynamics.topology, after, float(run.kept_times[k]) - t)
+            y = record.retained(shortly_after(dynamics.topology, after, float(run.kept_times[k]) - t))
             for i, (part, cotangent) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
                 if cotangent is not None:
                     outputs.append(part)
-                    x = rows_first((cotangent[:, segment.rows] if i == 3 else cotangent)[k], lanes)
+                    x = rows_first(self._of_steps(record, i, cotangent[k : k + 1])[0], lanes)
                     of_outputs.append(torch.where(between[k], x, 0.0))
         return outputs, of_outputs

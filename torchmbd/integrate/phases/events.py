@@ -327,9 +327,9 @@ class Views:
         )
         return Views(whole)
 
-    def continuing(self, times: Tensor, q: Tensor, v: Tensor) -> Views:
-        """The same for a motion whose states are recorded in q, v [times, n, pair, lanes]: angles continue what is recorded."""
-        return replace(self, whole=replace(self.whole, turns=Turns(self.whole, times, q, v)))
+    def continuing(self, times: Tensor, q: Tensor, states: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Views:
+        """The same for a motion that is recorded: angles continue what is there; arguments as in `Turns`."""
+        return replace(self, whole=replace(self.whole, turns=Turns(self.whole, times, q, states)))
 
     def _turns_of(self, lanes: Sequence[int]) -> Turns | None:
         turns = self.whole.turns

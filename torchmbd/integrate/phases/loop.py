@@ -101,7 +101,6 @@ class _PhaseLoop:
         """Step until every lane has left the phase, or to the end; exits, and statistics as in Stepper."""
         record, x, last = self.record, self.record.base, len(self.times) - 1
         i, steps, every = int(self.first.min()), None, self.multiphase.every
-        into = self.multiphase.states if self.multiphase.single and every == 1 else None
         stepper: Stepper = (
             MovingSteps(self.integrator, self.condensed, self._time)
             if self.multiphase.duration_moves
@@ -124,6 +123,7 @@ class _PhaseLoop:
                 if every > 1 and i % every == 0:
                     record.checkpoints[i] = value(x.a).clone()
                     stepper.restart()
+                into = self.multiphase.states if self._keeps_all(inside) else None
                 steps = RegularSteps(stepper, self.condensed, self.times, i, j, x, inside, steps, into)
                 x = steps.end
                 inside = self._left_behind(steps, inside)
@@ -135,6 +135,11 @@ class _PhaseLoop:
         if bool(record.has_exit.any()):
             self._leave(lane_numbers(record.has_exit))
         return record.exit, stepper.statistics()
+
+    def _keeps_all(self, inside: Tensor) -> bool:
+        """True if the steps of lanes `inside` are the record of the motion as they are."""
+        multiphase, all_stay = self.multiphase, self.event is None and self.ends is None and bool(inside.all())
+        return all_stay and self.condensed is multiphase.recorded and multiphase.every == 1
 
     def _boundary(self, i: int, last: int) -> int:
         """The point at which the steps from the point i are interrupted: where lanes arrive or the last one leaves, for events,
@@ -167,7 +172,8 @@ class _PhaseLoop:
         i, history = steps.first, steps.states
         if self.event is None and self.ends is None:  # none leaves
             counted = inside.repeat(len(history.q), 1)
-            self._record(i, history, counted, counted, steps.stepper.take_errors(counted[1:]))
+            errors = steps.stepper.take_errors(counted[1:])
+            self._record(i, history, counted, counted, errors, self._keeps_all(inside))
             return inside
         g = self.g[:, None].expand(-1, len(history.q))
         if self.event is not None:
@@ -209,23 +215,28 @@ class _PhaseLoop:
         return self.multiphase.views.along(self.event, dynamics, times, history)
 
     def _record(
-        self, first: int, states: History, counted: Tensor, stepped: Tensor, errors: Tensor | None = None
+        self,
+        first: int,
+        states: History,
+        counted: Tensor,
+        stepped: Tensor,
+        errors: Tensor | None = None,
+        are_kept: bool = False,
     ) -> None:
         """Record condensed states at the point `first` of the grid and those after it, of lanes that count [points, lanes].
 
         stepped   lanes that have these states;  errors: of the iterations of the steps between them
         """
-        if self.multiphase.single:
-            self.multiphase.record_all(first, states)
-        else:
-            self._record_lanes(first, states, counted)
+        multiphase = self.multiphase
+        recorded = states if self.condensed is multiphase.recorded else self._of_whole(first, states)
+        multiphase.record(self.number, first, counted, recorded, are_kept)
         if self.estimates is not None and errors is not None:
             c, every_lane = self.record.condensation, bool(stepped.all())
-            unknowns = states if self.condensed is self.multiphase.recorded or c is None else self._unknowns(c, states)
+            unknowns = states if self.condensed is multiphase.recorded or c is None else self._unknowns(c, states)
             self.estimates.update(first, unknowns, errors, None if every_lane else stepped)
 
-    def _record_lanes(self, first: int, states: History, counted: Tensor) -> None:
-        """Record states of the whole system, out of condensed ones."""
+    def _of_whole(self, first: int, states: History) -> History:
+        """States of the whole system, out of those of the steps; multipliers of other rows are zero."""
         c, times, rows = self.record.condensation, self.times[first : first + len(states.q)], self.segment.rows
         q, v, vd, lam = states.states
         if c is not None and self.multiphase.duration_moves:  # bodies of known motion move with the times of the grid
@@ -237,7 +248,8 @@ class _PhaseLoop:
             q, v, vd = (expansion.rows(order, x) for order, x in enumerate((q, v, vd)))
         if c is not None:
             rows = [rows[k] for k in c.rows.tolist()]
-        self.multiphase.record(self.number, first, counted, (q, v, vd, lam), rows)
+        all_rows = lam.new_zeros(len(lam), self.multiphase.whole.topology.rows, *lam.shape[2:])
+        return History(q, v, vd, all_rows.index_copy(1, torch.tensor(rows, dtype=torch.long), lam))
 
     def _unknowns(self, c: Condensation, states: History) -> History:
         """Condensed states as those of the whole system, zero where a body is not an unknown: its motion has no error."""
@@ -310,9 +322,8 @@ class _PhaseLoop:
         between &= torch.arange(len(self.times))[:, None] < self.first  # [times, lanes]
         for k in lane_numbers(between.any(1)):
             h = self._time(k) - self.entry.t
-            x = shortly_after(self.dynamics.topology, self.entry.x, h)
-            states = History.of([x]).states
-            self.multiphase.record(self.number, k, between[k][None], states, self.segment.rows)
+            x = self.record.retained(shortly_after(self.dynamics.topology, self.entry.x, h))
+            self._record(k, History.of([x]), between[k][None], between[k][None])
 
     def _start_values(self) -> Tensor:
         """The event's function [lanes] where the lanes enter."""

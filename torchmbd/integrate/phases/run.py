@@ -16,11 +16,11 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.contacts import ContactWatch
-from torchmbd.integrate.lanes import expanded, lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
+from torchmbd.integrate.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_lanes, put_states
 from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.lane_leaves import LaneLeaves
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
-from torchmbd.integrate.phases.segment import DURATION, Segment, is_single
+from torchmbd.integrate.phases.segment import DURATION, Segment, keep_equations
 from torchmbd.integrate.phases.switch import (
     InitialState,
     data_with_marks,
@@ -28,7 +28,7 @@ from torchmbd.integrate.phases.switch import (
     jump,
     velocities_after_impact,
 )
-from torchmbd.integrate.prepared import Prepared, prepare, prepare_whole
+from torchmbd.integrate.prepared import Prepared, detached, of_leaves, prepare, prepare_whole
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.equations import equations
@@ -36,7 +36,6 @@ from torchmbd.multibody.equations.times_as_lanes import at_own_times, at_time
 from torchmbd.multibody.saddle import reactions
 from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.saddle.least_norm import LeastNorm
-from torchmbd.multibody.start.initial import SharedStart
 from torchmbd.multibody.start.start import EquilibriumConditions
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History, Record
@@ -54,7 +53,8 @@ class MultiphaseRun:
     integrator  that makes the steps
     every   steps between two states that are kept: all between them are made again for the adjoint
 
-    States that are recorded are those of `recorded`: of the whole, or, where there is a single segment, of its regular steps.
+    States that are recorded are those of `recorded`: of the whole, or, where all segments have its equations, of the regular
+    steps.
     """
 
     whole: Dynamics
@@ -69,39 +69,64 @@ class MultiphaseRun:
 
     def __post_init__(self) -> None:
         lanes = self.whole.lanes
-        self.single: Prepared | None = None
-        self.start_as_made: Prepared | None = None  # of a single segment: a function of leaves, where there are any
-        if is_single(self.segments, self.whole.topology):
-            self.start_as_made = self._prepared(self.whole)
-            self.single = self.start_as_made.detached()
-            self.whole = self.single.whole
-        self.recorded = self.whole if self.single is None else self.single.condensed
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
         self.failures = [""] * lanes  # the first reason why a lane has failed
         self.failed_for_good: set[int] = set()  # lanes that would with smaller steps as well
         self.doubts: dict[int, str] = {}  # of lanes whose numbers stay
+        made = self._first_segment(self.whole)
+        self.start_as_made: Prepared | None = made  # a function of leaves, where there are any
+        for lane, reason in self.whole.start_errors.items():
+            self.fail(lane, reason)
+        self.first, self.whole = made.detached(), detached(self.whole)
         self.data_without_marks = self.whole.data
+        same = self.first.whole.topology is self.whole.topology
+        self.whole = self.first.whole if same else self.whole.with_data(self.first.whole.data)
+        self.keeps_equations = keep_equations(self.segments, self.whole.topology)
+        self.recorded = self.first.condensed if self.keeps_equations else self.whole
         # Whether the time at which a phase begins depends on the design.
         self.begin_depends = [False]
         for segment in self.segments[:-1]:
             until = segment.phase.until
             depends = isinstance(until, Event) or DURATION in self.whole.data or segment.time_name in self.whole.data
             self.begin_depends.append(depends or (until is None and self.begin_depends[-1]))
-        self.least_norm: list[LeastNorm | None] = []
-        count = self.steps // self.every + 1
-        self.states = Record(self.single.start, count) if self.single else Record.of_dynamics(self.whole, count)
+        self.entered: list[Prepared] = []
+        self._least_norm: dict[int, LeastNorm | None] = {}
+        self.states = Record.of_dynamics(self.recorded, self.steps // self.every + 1)
         self.q, self.v, self.vd, self.lam = self.states.parts
         self.kept_times = self.times[:: self.every]  # of the states that are kept
-        self.views = self.views.continuing(self.kept_times, self.q, self.v)
+        self.views = self.views.continuing(self.kept_times, self.q, self._recorded_states)
         self.phase_number = torch.full((self.steps + 1, lanes), -1, dtype=torch.int32)  # kept with the motion
         self.watch = ContactWatch(self.whole, self.steps)
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"start_as_made": None}  # may have a graph of torch
 
-    def _prepared(self, whole: Dynamics) -> Prepared:
-        """Of a single segment."""
-        return (prepare if self.integrator.condenses else prepare_whole)(whole)
+    def _first_segment(self, whole: Dynamics) -> Prepared:
+        """Dynamics of the first segment and of its regular steps, and its initial states, as functions of data of `whole`."""
+        segment, dynamics = self.segments[0], whole
+        if segment.topology is not whole.topology:
+            dynamics = replace(whole, topology=segment.topology, saddle=segment.saddle, initial=segment.initial)
+        if not segment.locks:
+            made = (prepare if self.integrator.condenses else prepare_whole)(dynamics)
+            whole.start_errors.update(dynamics.start_errors)  # of the problem
+            return made
+        with of_leaves(whole) as leaves:
+            return self._locked(whole, dynamics)._replace(leaves=leaves)
+
+    def _locked(self, whole: Dynamics, dynamics: Dynamics) -> Prepared:
+        """As `_first_segment`, with locks that hold the joints as they are closed."""
+        segment = self.segments[0]
+        q, v = (self._wide(x, whole.lanes) for x in self._closed_coordinates(whole))
+        data = data_with_marks(whole.topology, whole.data, q, segment.locks)
+        initial = InitialState(value(q)[..., :1].detach(), value(v)[..., :1].detach(), None, segment.condensation)
+        dynamics = replace(dynamics, data=data, initial=initial)
+        of_steps = dynamics.condensed() if self.integrator.condenses else dynamics
+        before = State(q, v, v * 0.0, v * 0.0, v[:0])
+        lanes = lane_numbers(torch.isfinite(value(q)).flatten(0, 1).all(0))
+        t = self._wide(torch.zeros(1, whole.lanes, dtype=torch.float64), whole.lanes)
+        state = self._entered(0, lanes, dynamics, PhaseExit(t, before))
+        retained = state if of_steps is dynamics else of_steps.initial.condensation.retained_state(state)
+        return Prepared(dynamics, of_steps, retained, state)
 
     @property
     def duration_moves(self) -> bool:
@@ -118,16 +143,19 @@ class MultiphaseRun:
     @property
     def history(self) -> History:
         """The motion at the times that are kept."""
-        if self.single is None:
-            segment = self.phase_number[:: self.every, None].double()
-            return replace(self.states.history(), segment=segment, run=self)
-        return replace(self.states.history(self._expansion(self.kept_times)), run=self)
+        segment = None if self.keeps_equations else self.phase_number[:: self.every, None].double()
+        return replace(self.states.history(self._expansion(self.kept_times)), segment=segment, run=self)
 
     def _expansion(self, times: Tensor) -> Expansion | None:
         """Leads from states that are recorded at these times to those of the whole; None: they are its own."""
-        if self.recorded is self.whole:
+        if self.recorded.topology is self.whole.topology:
             return None
         return Expansion.of(self.recorded.initial.condensation, self.whole.data, times)
+
+    def _recorded_states(self, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """q and v of the whole [times, n, pair, lanes] as they are recorded at some of the times that are kept."""
+        states = History(*(x[rows] for x in self.states.parts), expansion=self._expansion(self.kept_times[rows]))
+        return states.rows(0), states.rows(1)
 
     def multipliers(self, history: History, data: equations.Data | None = None) -> Tensor:
         """Multipliers of all rows [times, rows, pair, lanes] of states; of redundant ones those of least norm.
@@ -137,7 +165,7 @@ class MultiphaseRun:
         lam, data, segment = history.lam, data or self.whole.data, history.segment
         at = self.kept_times if history.times is None else history.times
         assert segment is not None
-        for record, least in zip(self.records, self.least_norm, strict=True):
+        for record, least in ((record, self.least_norm(record.number)) for record in self.records):
             in_phase = segment == record.number
             times = (untransformed(segment) == record.number).flatten(-2).any(-1).reshape(-1, len(at)).any(0)
             if (least is None and record.condensation is None) or not bool(times.any()):
@@ -153,14 +181,9 @@ class MultiphaseRun:
         return lam
 
     def start(self) -> PhaseExit:
-        """Consistent initial positions and velocities under the joints that close the mechanism."""
-        t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
-        if self.single is not None:
-            return PhaseExit(t, self.single.state)
-        *coordinates, shared = self.initial_coordinates(self.whole)
-        q, v = map(self._wide, coordinates)
-        self.initial_state = InitialState(value(q)[..., :1], value(v)[..., :1], shared)
-        return PhaseExit(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
+        """Where the first segment begins."""
+        lanes = self.whole.lanes
+        return PhaseExit(self._wide(torch.zeros(1, lanes, dtype=torch.float64), lanes), self.first.state)
 
     def start_of_leaves(self, lanes: Sequence[int], names: Sequence[str]) -> tuple[LaneLeaves, Prepared]:
         """Data of these names as leaves, and the initial state of some lanes and the dynamics of the first segment as
@@ -169,42 +192,30 @@ class MultiphaseRun:
         if made is not None and set(names).issubset(made.leaves) and list(lanes) == list(range(self.whole.lanes)):
             made.condensed.share_rank(record.condensed)
             return LaneLeaves(self.views, lanes, made.whole, names, are_made=True), made
-        whole = lanes_of(replace(self.whole, data=self.data_without_marks), lanes)
-        with torch.enable_grad():
-            leaves = LaneLeaves(self.views, lanes, whole, names)
-            if self.single is not None:
-                made = self._prepared(leaves.dynamics)
-                made.condensed.share_rank(record.condensed)
-                return leaves, made
-            q, v = (expanded(y, len(lanes)) for y in self.initial_coordinates(leaves.dynamics)[:2])
-            data = data_with_marks(whole.topology, leaves.dynamics.data, q, self.segments[0].locks)
-            dynamics = lanes_of(record.dynamics, lanes).with_data(data)
-            before = PhaseExit(record.entry.lanes(lanes).t, State(q, v, v * 0.0, v * 0.0, v[:0]))
-            x = self.after(0, leaves.views, range(len(lanes)), dynamics, *before)
-            return leaves, Prepared(dynamics, record.condensed_of(dynamics), record.retained(x), x)
+        leaves = LaneLeaves(self.views, lanes, lanes_of(self.whole.with_data(self.data_without_marks), lanes), names)
+        made = self._first_segment(leaves.dynamics)
+        made.condensed.share_rank(record.condensed)
+        return leaves, made
 
-    def initial_coordinates(self, whole: Dynamics) -> tuple[Any, Any, SharedStart | None]:
-        """Initial q and v, joints closed, as functions of the data of `whole`; and the start where designs share it.
-
-        Locks have vectors of their own in each design: then nothing is shared.
-        """
+    def _closed_coordinates(self, whole: Dynamics) -> tuple[Any, Any]:
+        """Initial q and v with closed joints, before locks take hold, as functions of the data of `whole`."""
         segment = self.segments[0]
         (T, saddle), initial = segment.closing, segment.initial
         free = replace(whole, topology=T, saddle=saddle, initial=initial)
         if not isinstance(initial, EquilibriumConditions):
-            locks = any(segment.locks for segment in self.segments)
-            return *initial.solve(free), None if locks else free.shared_start
+            return initial.solve(free)
         q, v = initial.assembled(free)  # locks hold these positions while bodies sag
-        held = replace(whole, data=data_with_marks(whole.topology, whole.data, self._wide(q), segment.locks))
+        held = replace(
+            whole, data=data_with_marks(whole.topology, whole.data, self._wide(q, whole.lanes), segment.locks)
+        )
         held = replace(held, topology=segment.topology, saddle=segment.saddle)
         q = initial.equilibrium_near(held, q)
-        for lane, reason in held.start_errors.items():
-            self.fail(lane, reason)
-        return q, initial.compatible(replace(free, data=held.data), q, v), None
+        whole.start_errors.update(held.start_errors)
+        return q, initial.compatible(replace(free, data=held.data), q, v)
 
-    def _wide(self, x: Any) -> Any:
-        """A number with all lanes and tangents."""
-        n, lanes = self.whole.tangents, self.whole.lanes
+    def _wide(self, x: Any, lanes: int) -> Any:
+        """A number with so many lanes and all tangents."""
+        n = self.whole.tangents
         if isinstance(x, Pair) or not n:
             return linear(lambda y: y.expand(*y.shape[:-1], lanes), x)
         return Pair.of(x, x.new_zeros(*x.shape[:-2], n, lanes))
@@ -212,27 +223,26 @@ class MultiphaseRun:
     def enter(self, number: int, phase_exit: PhaseExit) -> Prepared:
         """The dynamics of a phase, those of its regular steps, and the state in which its lanes begin, with consistent
         accelerations."""
-        if self.single is not None:
-            return self.single
+        if not number:
+            self.entered.append(self.first)
+            return self.first
         data = data_with_marks(self.whole.topology, self.whole.data, phase_exit.x.q, self.segments[number].locks)
         if data is not self.whole.data:
             self.whole = replace(self.whole, data=data)
         dynamics, of_steps = self._dynamics_of(number)
-        self.least_norm.append(_least_norm(self.whole, self.segments[number], dynamics))
-        state = self._state_after(number, dynamics, phase_exit)
-        if number:
-            t = phase_exit.t
-            self.switches.append(
-                Switch(
-                    self.segments[number].name,
-                    value(t)[0],
-                    _moment(phase_exit.x, self._multipliers(number - 1, t, phase_exit.x)),
-                    _moment(state, self._multipliers(number, t, state)),
-                    t.tangent.T if isinstance(t, Pair) else None,
-                )
-            )
+        state, t = self._state_after(number, dynamics, phase_exit), phase_exit.t
         retained = state if of_steps is dynamics else of_steps.initial.condensation.retained_state(state)
-        return Prepared(dynamics, of_steps, retained, state)
+        self.entered.append(Prepared(dynamics, of_steps, retained, state))
+        self.switches.append(
+            Switch(
+                self.segments[number].name,
+                value(t)[0],
+                _moment(phase_exit.x, self._multipliers(number - 1, t, phase_exit.x)),
+                _moment(state, self._multipliers(number, t, state)),
+                t.tangent.T if isinstance(t, Pair) else None,
+            )
+        )
+        return self.entered[-1]
 
     def _dynamics_of(self, number: int) -> tuple[Dynamics, Dynamics]:
         """The dynamics of a phase and those of its regular steps: of an earlier phase with the same equations and data."""
@@ -240,7 +250,11 @@ class MultiphaseRun:
         for record in self.records:
             if record.dynamics.topology is segment.topology and record.dynamics.data is self.whole.data:
                 return record.dynamics, record.condensed
-        initial = replace(self.initial_state, condensed=segment.condensation)
+        x, shared = (
+            self.first.state,
+            None if any(part.locks for part in self.segments) else self.first.whole.shared_start,
+        )
+        initial = InitialState(value(x.q)[..., :1], value(x.v)[..., :1], shared, segment.condensation)
         dynamics = replace(self.whole, topology=segment.topology, saddle=segment.saddle, initial=initial)
         return dynamics, dynamics.condensed() if self.integrator.condenses else dynamics
 
@@ -255,27 +269,39 @@ class MultiphaseRun:
 
     def all_multipliers(self, number: int, data: equations.Data, t: Any, x: State) -> Any:
         """Multipliers of all rows from those of a phase or of its condensed system, of redundant ones those of least norm."""
-        least, c = self.least_norm[number], self.segments[number].condensation
+        least, c = self.least_norm(number), self.segments[number].condensation
         lam = reactions.multipliers_at(c, data, t, x.q, x.v, x.vd, x.lam)
         n, rows = self.whole.topology.rows, torch.tensor(self.segments[number].rows, dtype=torch.long)
         lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
         return lam if least is None else least.at_varying_time(data, t, x.q, lam)
+
+    def least_norm(self, number: int) -> LeastNorm | None:
+        """Projection of the multipliers of a phase, among all rows of the whole; None if all are determined."""
+        if number not in self._least_norm:
+            self._least_norm[number] = _least_norm(self.whole, self.segments[number], self.entered[number].whole)
+        return self._least_norm[number]
 
     def _state_after(self, number: int, dynamics: Dynamics, phase_exit: PhaseExit) -> State:
         """The state of all lanes after the switch into a phase; nan where they do not get there."""
         x = phase_exit.x
         for lane in lane_numbers(~torch.isfinite(value(x.q)).flatten(0, 1).all(0)):
             self.fail(lane, f"the motion is not finite when phase {self.segments[number].name!r} begins")
-        q, v = x.q * torch.nan, x.v * torch.nan
+        lanes = lane_numbers(self.entered_lanes(phase_exit))
+        if lanes:
+            entering = phase_exit.lanes(lanes)
+            self._check_closed(number, lanes, lanes_of(dynamics, lanes), entering.t, entering.x.q)
+        return self._entered(number, lanes, dynamics, phase_exit)
+
+    def _entered(self, number: int, lanes: Sequence[int], dynamics: Dynamics, before: PhaseExit) -> State:
+        """The state of lanes after the switch that begins a phase; nan in the others."""
+        q, v = before.x.q * torch.nan, before.x.v * torch.nan
         rows = value(q).new_zeros(dynamics.topology.rows, *q.shape[1:])
         state = State(q, v, v, v, Pair(rows) if isinstance(q, Pair) else rows)
-        lanes = lane_numbers(self.entered_lanes(phase_exit))
         if not lanes:
             return state
-        entering, lane_dynamics = phase_exit.lanes(lanes), lanes_of(dynamics, lanes)
-        if number:
-            self._check_closed(number, lanes, lane_dynamics, entering.t, entering.x.q)
-        return put_states(state, lanes, self.after(number, self.views, lanes, lane_dynamics, *entering))
+        return put_states(
+            state, lanes, self.after(number, self.views, lanes, lanes_of(dynamics, lanes), *before.lanes(lanes))
+        )
 
     def after(self, number: int, views: Views, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> State:
         """The state of some lanes after the switch that begins a phase, from the state before it."""
@@ -338,35 +364,24 @@ class MultiphaseRun:
             f"t = {t:.6g} s on; more steps help",
         )
 
-    def record(self, number: int, first: int, counted: Tensor, states: Sequence[Tensor], rows: Sequence[int]) -> None:
-        """Record states at the point `first` of the grid and those after it, of lanes that count [points, lanes].
+    def record(self, number: int, first: int, counted: Tensor, states: History, are_kept: bool = False) -> None:
+        """Record states, of the dynamics `recorded`, at the point `first` of the grid and those after it.
 
-        states   q, v, a [points, n, pair, lanes] of the whole system, and multipliers of some rows of it
+        counted    which lanes have them [points, lanes];  are_kept: they are in the record already
         """
-        times = slice(first, first + len(counted))
-        self.phase_number[times] = torch.where(counted, number, self.phase_number[times])
+        at, of_all = slice(first, first + len(counted)), bool(counted.all())
+        self.phase_number[at] = torch.where(counted, number, self.phase_number[at])
         if not self.watch.idle:
-            q, v = (x[:, :, :1] for x in states[:2])
-            self.watch.update(first, self.times[times], q, v, counted)
-        kept = slice(-first % self.every, None, self.every)
-        *motion, lam = (x[kept] for x in states)
-        counted, begin = counted[kept], -(-first // self.every)
-        at, index = slice(begin, begin + len(counted)), torch.tensor(list(rows), dtype=torch.long)
-        for of_all, x in zip((self.q, self.v, self.vd), motion, strict=True):
-            of_all[at] = torch.where(counted[:, None, None], x, of_all[at])
-        new = torch.zeros_like(self.lam[at]).index_copy(1, index, lam.expand(*lam.shape[:-1], self.lam.shape[-1]))
-        self.lam[at] = torch.where(counted[:, None, None], new, self.lam[at])
-
-    def record_all(self, first: int, states: History) -> None:
-        """Record states of the single segment, of all lanes, at the point `first` of the grid and those after it."""
-        times = self.times[first : first + len(states.q)]
-        self.phase_number[first : first + len(states.q)] = 0
-        if not self.watch.idle:
-            whole = replace(states, expansion=self._expansion(times))
-            self.watch.update(first, times, *(whole.rows(order, pair=slice(1)) for order in range(2)))
-        if self.every > 1:
-            kept = states.at(slice(-first % self.every, None, self.every))
-            self.states.put_all(-(-first // self.every), kept)
+            whole = replace(states, expansion=self._expansion(self.times[at]))
+            q, v = (whole.rows(order, pair=slice(1)) for order in range(2))
+            self.watch.update(first, self.times[at], q, v, None if of_all else counted)
+        if are_kept:
+            return
+        kept, begin = slice(-first % self.every, None, self.every), -(-first // self.every)
+        states, counted = states.at(kept), counted[kept, None, None]
+        for total, x in zip(self.states.parts, states.states, strict=True):
+            part = total[begin : begin + len(counted)]
+            part.copy_(x if of_all else torch.where(counted, x, part))
 
     def end(self, segment: Segment, lanes: Sequence[int]) -> None:
         """Note lanes that are in a phase when the simulation ends: an error, unless it is the last."""

@@ -93,14 +93,14 @@ def single_segment(dynamics: Dynamics) -> list[Segment]:
     return [Segment.of(dynamics, *ONE_PHASE, 0)]
 
 
-def is_single(segments: Sequence[Segment], whole: Topology) -> bool:
-    """True if there is one segment, in which all joints and laws of the whole system act."""
-    return len(segments) == 1 and segments[0].topology is whole
+def keep_equations(segments: Sequence[Segment], whole: Topology) -> bool:
+    """True if all joints and laws of the whole system act in every segment."""
+    return all(segment.topology is whole for segment in segments)
 
 
 def actions_of(segments: Sequence[Segment], whole: Topology) -> tuple[tuple[Action, ...], ...]:
-    """Applied forces of each segment; none where a single one has those of the whole system."""
-    return () if is_single(segments, whole) else tuple(segment.topology.actions for segment in segments)
+    """Applied forces of each segment; none where every one has those of the whole system."""
+    return () if keep_equations(segments, whole) else tuple(segment.topology.actions for segment in segments)
 
 
 def segments_of(system: System, phases: Sequence[Phase], duration: float) -> tuple[System, list[Segment]]:
