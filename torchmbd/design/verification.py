@@ -40,6 +40,7 @@ from torchmbd.results.response_error import ResponseError, rows_of
 
 _ENDS = 3  # of other starts that are simulated, at most
 _ACTIVE = 1e-3  # margin of a constraint that holds the design, a share of its size
+_COUNTS = 0.1  # share of the largest error from which on an error is named as a cause
 _FREQUENCIES = 2  # first ones of every body that are told
 _UNRESOLVED = 16.0  # reduction of the error that is asked for where none is known: four times the steps
 
@@ -134,7 +135,7 @@ def verification(
     changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (gained.value, gained.finer)]
     todo = ""
     if faults:
-        causes = {"steps" if fault.unresolved else fault.response.cause for fault in faults}
+        causes = set().union(*({"steps"} if fault.unresolved else fault.response.causes for fault in faults))
         todo = f"{advice(simulated, max(fault.need for fault in faults), causes)}, and the search again"
     answers = tuple(response.answer for response in responses)
     return Verification(answers, changes[0], changes[1], tuple(fault.text for fault in faults), todo, tuple(notes))
@@ -214,9 +215,10 @@ class _Response:
         return self.error.reasons
 
     @property
-    def cause(self) -> str:
-        """What leaves the largest error: "steps", "modes" or "mesh"."""
-        return max(self.error.parts, key=lambda name: float(self.error.parts[name].abs().nan_to_num().max()))
+    def causes(self) -> set[str]:
+        """What leaves the errors, of "steps", "modes" and "mesh": those within a factor of ten of the largest."""
+        errors = {name: float(x.abs().nan_to_num().max()) for name, x in self.error.parts.items()}
+        return {name for name, error in errors.items() if error >= _COUNTS * max(errors.values())}
 
     @property
     def answer(self) -> Answer:

@@ -71,7 +71,7 @@ class ModalDamping(nn.Module):
         """Set damping ratios, one for all modes or one for each, and the rate; modes: numbers of modes that designs may have.
         Returns itself."""
         allowed = (
-            f"a number from 0 to 1, or {modes[0]} of them, one for each mode; mbd.variable(...) for all, or a "
+            f"a number of at least 0 and below 1, or {modes[0]} of them, one for each mode; mbd.variable(...) for all, or a "
             "torch.nn.Parameter with one for each"
         )
         name, plain = (self.body, "damping", "ratio"), ratio.detach() if isinstance(ratio, nn.Parameter) else ratio
