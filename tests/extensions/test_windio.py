@@ -11,7 +11,7 @@ import torch
 import yaml
 
 import torchmbd as mbd
-from tests.refused import refused
+from tests.refused import ANY, refused, warned
 from torchmbd.errors import InputError
 from torchmbd.extensions.windio.blade import WindIOBlade, _loaded
 from torchmbd.extensions.windio.contours import Contours
@@ -186,9 +186,7 @@ def test_what_reaches_beyond_the_contour_is_cut_off_with_a_warning(blade):
         section = blade(wing(), [skin("outer", "steel", 2e-3), cap], []).section(0.5)
         return float(section.stiffness()[0, 0])
 
-    with pytest.warns(
-        UserWarning, match=r"layer 'cap' at 0\.5 reaches from -0\.1 to 0\.2 of the contour; it is cut off"
-    ):
+    with warned("layer 'cap' at 0.5", "-0.1 to 0.2"):
         assert area(-0.1) == pytest.approx(area(0.0), rel=1e-12)
 
 
@@ -236,7 +234,7 @@ def test_what_a_blade_lacks_is_named(blade, layers, webs, changed, words):
 def test_a_number_that_a_material_lacks_has_no_default(blade, key):
     steel = {name: value for name, value in MATERIALS[0].items() if name != key}
     result = blade(wing(), [skin("outer", "steel", 2e-3)], [], materials=[steel])
-    with pytest.raises(InputError, match=rf"blade\.yaml: material 'steel': KeyError\('{key}'\)"):
+    with refused("blade.yaml.materials.steel", ANY, key):
         result.section(0.5)
 
 
@@ -260,12 +258,12 @@ def test_hostile_files(tmp_path, text):
     """Neither a deep nor a multiplied file is built."""
     path = tmp_path / "x.yaml"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"x\.yaml: its data have more than"):
+    with refused("x.yaml.data"):
         mbd.read_windio(path)
 
 
 def test_a_tip_without_chord(blade):
-    with pytest.raises(InputError, match="chord at 1 is 0 m"):
+    with refused("blade.yaml.chord", 0.0):
         blade(wing(), FULL, WEBS, chord=0.0).section(1.0)
 
 
@@ -390,7 +388,7 @@ def test_a_filler_between_layers_that_overlap_is_left_out(cap, blade):
     airfoil = circle()
     result = blade(airfoil, layers, [])
     if cap < 0.149:
-        with pytest.warns(UserWarning, match="'filler' at 0.5 starts at 0.15 of the contour, behind its end at"):
+        with warned("'filler' at 0.5", "0.15"):
             mass = float(result.section(0.5).mass()[0, 0])
     else:
         mass = float(result.section(0.5).mass()[0, 0])
@@ -428,7 +426,7 @@ def test_a_web_without_height_is_left_out_with_a_warning(place, blade):
     webs = [{"name": "web", "start_nd_arc": along(0.3, place), "end_nd_arc": along(0.7, place)}]
     outer = skin("outer", "steel", 2e-3)
     result = blade(wing(), [outer, *FULL[6:]], webs)
-    with pytest.warns(UserWarning, match="web 'web' at 1 runs from .* it is left out"):
+    with warned("web 'web' at 1"):
         mass = float(result.section(1.0).mass()[0, 0])
     assert mass == pytest.approx(float(blade(wing(), [outer], []).section(1.0).mass()[0, 0]), rel=1e-3)
 

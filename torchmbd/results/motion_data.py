@@ -224,8 +224,11 @@ class MotionData(Summary):
         from_adjoint = self.integration is not None and self.stats.get("gradients") == "reverse"
         if from_adjoint:
             raise InputError(
-                f"d{name}_db: the gradients of this motion come by the adjoint, which has no sensitivities of coordinates; "
-                "allowed: simulate(..., gradients='forward')"
+                "gradients",
+                "reverse",
+                "simulate(..., gradients='forward')",
+                noun=f"d{name}_db:",
+                state="the gradients of this motion come by the adjoint, which has no sensitivities of coordinates",
             )
         return self.sensitivities.tangents(name, rows)
 

@@ -155,7 +155,7 @@ def test_wrong_interfaces_are_refused(interface, path):
 
 
 def test_wrong_options_are_refused():
-    with refused("Interface.rigid", 1):
+    with refused("rigid", 1):
         mbd.Interface("left_edge", rigid=1)
     with refused("weights"):
         mbd.Interface("left_edge", rigid=True, weights=[1.0])

@@ -12,6 +12,7 @@ import torch
 from numpy.testing import assert_allclose
 
 import torchmbd as mbd
+from tests.refused import refused, warned
 from torchmbd.tracking.catalog import find
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -39,7 +40,7 @@ def test_a_name_is_its_latest_run(finished):
 
 
 def test_an_unknown_run_names_what_there_is(finished):
-    with pytest.raises(mbd.InputError, match=r"run 'shrt' is not in .*did you mean 'short'"):
+    with refused("run", "shrt", meant="short"):
         mbd.load("shrt", finished.uri)
 
 
@@ -90,9 +91,7 @@ def test_a_store_that_was_changed_cannot_name_what_is_executed(finished, monkeyp
 def test_a_model_that_has_changed_is_reported(finished, tmp_path):
     model = shutil.copy(finished.folder / "rod_model.py", tmp_path)
     Path(model).write_text(Path(model).read_text().replace("modes=4", "modes=3"))
-    with pytest.warns(
-        UserWarning, match=r"rod_model.py:build or what it reads, torchmbd or torch has changed since run"
-    ):
+    with warned("rod_model.py:build", "torchmbd or torch", "run"):
         mbd.load("short", finished.uri, model)
 
 

@@ -228,7 +228,12 @@ class ModalData(Measurement):
         """Numbers of the vibrations of the model that are not rigid motions, from 0."""
         f = rest.vibrations[lane].frequencies
         if bool(f.isnan().any()):
-            raise DesignFailure("vibrations about the equilibrium grow, so that its modes are no frequencies")
+            raise DesignFailure(
+                "system",
+                allowed="a stable equilibrium",
+                noun="vibrations about the equilibrium",
+                state="grow, so that they do not have frequencies",
+            )
         largest = float(torch.nan_to_num(f).max()) if len(f) else 0.0
         return [k for k, x in enumerate(f.tolist()) if x > _ZERO * largest]
 
@@ -287,8 +292,10 @@ def _poles_of(s: Tensor, natural: Tensor, modes: Tensor) -> Tensor:
         for k, mode in enumerate(modes[:, lane].tolist()):
             if mode not in pole:
                 raise DesignFailure(
-                    f"mode {mode + 1} of the model, {float(w[mode]) / (2.0 * math.pi):.4g} Hz, does not oscillate: its "
-                    "poles are real; allowed: less damping"
+                    "damping",
+                    allowed="less damping",
+                    noun=f"mode {mode + 1} of the model, {float(w[mode]) / (2.0 * math.pi):.4g} Hz,",
+                    state="does not oscillate: its poles are real",
                 )
             result[k, lane] = pole[mode]
     return result

@@ -85,8 +85,8 @@ def progressive_failure(
         raise InputError(
             "criterion",
             criterion,
-            rule=f"has an infinite strength in its plane; allowed with criterion {criterion!r}: finite ones",
-            shown="",
+            allowed=f"finite ones with criterion {criterion!r}",
+            state="has an infinite strength in its plane",
             noun="a ply",
         )
     rule = MODES[criterion]

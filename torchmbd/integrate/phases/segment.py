@@ -191,7 +191,8 @@ def _check_names(system: System, names: Sequence[str]) -> None:
         if twice:
             raise InputError(
                 kind,
-                rule=f"have the names {', '.join(twice)} more than once; allowed with phases: unique names",
+                allowed="unique names with phases",
+                state=f"have the names {', '.join(twice)} more than once",
                 noun=kind,
             )
 

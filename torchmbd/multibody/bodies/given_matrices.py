@@ -71,7 +71,7 @@ class GivenMatrices:
         if any(x.shape != (len(self.freedoms),) * 2 for x in matrices):
             raise InputError(
                 (name, "matrices"),
-                allowed=f"{len(self.freedoms)} rows and columns, one for each freedom of {len(positions)} nodes",
+                allowed=f"{len(self.freedoms)} rows and columns, one for each degree of freedom of {len(positions)} nodes",
                 state=f"have the shapes {', '.join(str(x.shape) for x in matrices)}",
             )
         self.pattern, values = _common_pattern(self.freedoms, matrices, 6 * len(positions))

@@ -130,8 +130,11 @@ def _require_files(store: StoreURI, entry: Entry) -> None:
     if missing := [name for name in written if name not in present]:
         text = few(missing)
         raise InputError(
-            f"run {entry.run_id[:8]} lacks {text} in {store}; allowed: a store with the whole of its folder mlartifacts "
-            "beside it"
+            "run",
+            entry.run_id,
+            "a store with the whole of its folder mlartifacts beside it",
+            noun=f"run {entry.run_id[:8]}",
+            state=f"lacks {text} in {store}",
         )
 
 
