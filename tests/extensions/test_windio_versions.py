@@ -209,47 +209,45 @@ def test_an_anchor_by_a_part_of_the_contour(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "fault"),
     [
-        (
-            lambda s: s["anchors"].pop(1),
-            r"anchor of start_nd_arc of layer 'cap': 'cap' does not exist; nearest: 'cap_below'|",
-        ),
+        (lambda s: s["anchors"].pop(1), ("layers.cap.start_nd_arc.anchor", "cap")),
         (
             lambda s: named(s["layers"], "cap").pop("end_nd_arc"),
-            "layer 'cap'.end_nd_arc is missing: must refer to an anchor",
+            ("layers.cap.end_nd_arc",),
         ),
         (
             lambda s: named(s["layers"], "cap").update(start_nd_arc=along(0.2, 0.2)),
-            r"start_nd_arc of layer 'cap' = .*: must be an anchor, with name and handle",
+            ("layers.cap.start_nd_arc", ANY, "must be an anchor"),
         ),
         (
             lambda s: named(s["layers"], "cap").update(start_nd_arc=at("cap", "middle")),
-            r"handle of start_nd_arc of layer 'cap' = 'middle_nd_arc': must be one of start_nd_arc",
+            ("layers.cap.start_nd_arc.handle", "middle_nd_arc"),
         ),
         (
             lambda s: named(s["anchors"], "cap").update(start_nd_arc=at("cap", "start")),
-            r"start_nd_arc of anchor 'cap' refers to itself",
+            ("anchors.cap.start_nd_arc", ANY, "itself"),
         ),
         (
             lambda s: named(s["anchors"], "edge").pop("width"),
-            r"anchor 'edge' has no end_nd_arc: .* plane_intersection is not computed",
+            ("anchors.edge.end_nd_arc", ANY, "plane_intersection"),
         ),
         (
             lambda s: s["webs"][0]["anchors"][0].update(end_nd_arc=along(0.6, 0.6)),
-            r"end_nd_arc of layer 'web_skin' = 0\.6: must be 1 at 0\.5, because a layer covers its whole web",
+            ("layers.web_skin.end_nd_arc", 0.6, "must be 1 at 0.5"),
         ),
-        (lambda s: s["webs"][0].pop("anchors"), r"start_nd_arc of layer 'web_skin'.anchor 'whole' does not exist"),
+        (lambda s: s["webs"][0].pop("anchors"), ("layers.web_skin.start_nd_arc.anchor", "whole")),
         (
             lambda s: named(s["layers"], "cap").update(thickness={"grid": [[0.0, 1.0]], "values": [[0.1, 0.1]]}),
-            "thickness of cap has grid",
+            ("layers.cap.thickness", ANY, "rising"),
         ),
     ],
 )
-def test_structures_that_are_refused(change, words, tmp_path):
+def test_structures_that_are_refused(change, fault, tmp_path):
     data = copy.deepcopy(version_2())
     change(parts(data)[1])
-    with pytest.raises(InputError, match=rf"blade\.yaml: {words}"):
+    argument, *facts = fault
+    with refused(f"blade.yaml.{argument}", *facts):
         read(tmp_path, data).section(0.5, cells=12, order=1)
 
 

@@ -155,5 +155,5 @@ def test_more_that_is_refused():
         mbd.ExactBeam("fork", line, table)
     with refused("fork.section"):
         mbd.ExactBeam("fork", line, [given(*[1.0] * 6)] * 2)
-    with refused("mast.line", ANY, "2.6 rad"):
+    with refused("ring.line", ANY, "2.6 rad"):
         mbd.ExactBeam("ring", mbd.BeamLine.arc(1.0, 3.0, 1), given(*[1.0] * 6))
