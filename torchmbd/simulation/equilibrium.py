@@ -303,7 +303,7 @@ def equilibrium(
     initial = start_of(system, start)
     if initial.in_equilibrium:
         raise InputError(
-            "start", start, "'assembled', a motion or numbers", state="is 'equilibrium', which is looked for"
+            "start", start, "'assembled', a motion or numbers", state="is 'equilibrium', which this function computes"
         )
     system = system.starting(replace(initial, is_guess=True))
     design_values = checked_designs(system, designs)

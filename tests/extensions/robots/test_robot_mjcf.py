@@ -210,7 +210,7 @@ def test_controls_and_drives(file):
         "hinge",
         "hinge_drive",
     ]
-    for given, argument in (({"servo": 2.0}, "controls.servo"), ({"motor": 1.0}, "controls:")):
+    for given, argument in (({"servo": 2.0}, "controls.servo"), ({"motor": 1.0}, "controls.motor")):
         with refused(argument):
             mbd.read_mjcf(path, controls=given)
 

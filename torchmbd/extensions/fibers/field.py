@@ -84,7 +84,7 @@ class FiberField:
         else:
             if axes is not None:
                 raise InputError(
-                    "axes", axes, "None, it has no axes", state=f"is {axes!r} of a FiberField with a radius"
+                    "axes", axes, "None, because it has no axes", state=f"is {axes!r} of a FiberField with a radius"
                 )
             W, slopes = _radial(places, _points(controls, places), _radius(radius))
         self.controls = W.shape[1]

@@ -91,7 +91,7 @@ class ModalData(Measurement):
     ):
         self.frequencies = _positive("frequencies", frequencies, " [Hz]")
         if (np.diff(self.frequencies) < 0.0).any():
-            raise InputError("frequencies", frequencies, "in ascending order [Hz]")
+            raise InputError("frequencies", frequencies, "numbers in ascending order [Hz]")
         count = len(self.frequencies)
         self.damping = np.full(count, np.nan) if damping is None else _numbers(damping)
         if self.damping.shape != (count,) or (self.damping <= 0.0).any() or np.isinf(self.damping).any():
@@ -119,7 +119,10 @@ class ModalData(Measurement):
             np.isfinite(self.shapes).all() and (np.abs(self.shapes).max(0) > 0.0).all()
         ):
             raise InputError(
-                "shapes", shapes, "finite numbers, one that is not zero", state="have a mode that is zero or no number"
+                "shapes",
+                shapes,
+                "finite numbers, one at least that is not zero",
+                state="have a mode that is zero or is not finite",
             )
         numbers: Any = list(range(1, count + 1)) if modes is None else modes
         self.numbers: list[int] = list(numbers) if isinstance(numbers, (list, tuple, range)) else []

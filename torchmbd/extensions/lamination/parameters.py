@@ -81,7 +81,7 @@ class LaminationParameters(Laminate):
             raise InputError(
                 "ply",
                 ply,
-                "0: these have no plies that differ",
+                "0, because lamination parameters do not contain the plies",
                 noun="ply of LaminationParameters",
                 state=f"has the loss factor {ply.loss!r}",
             )

@@ -354,7 +354,8 @@ def _mass(card: Card) -> Mass:
         raise InputError(
             (str(card), "CID"),
             card.text(3),
-            "blank. Try: put a grid at this place",
+            "blank",
+            hint="put a grid at this place",
             noun=f"{card}: CID",
             state=f"is {card.text(3)}, X1 to X3 are a place",
         )

@@ -190,7 +190,7 @@ class WindIOBlade:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
-                ("materials", name), allowed="E, G, nu, rho", state=f"does not have them: {error!r}"
+                ("materials", name), allowed="E, G, nu, rho", state=f"has other entries: {error!r}"
             ) from None
 
 

@@ -104,7 +104,7 @@ def _resampled(name: str, coordinates: Mapping[str, Any]) -> Array:
         raise InputError(
             ("airfoils", name, "coordinates"),
             [row.shape for row in rows],
-            "as many, finite",
+            "as many x as y, all finite",
             noun=f"coordinates of airfoil {name!r}",
             state=f"are {[row.shape for row in rows]} numbers",
         )

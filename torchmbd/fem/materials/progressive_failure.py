@@ -184,5 +184,5 @@ def _checked(
             raise InputError(name, x.tolist(), "three finite numbers xx, yy, xy", shown=f"{x.tolist()}")
     loads = torch.cat(both)
     if not loads.any():
-        raise InputError("force", allowed="a load that is not", state="are zero", noun="force and moment")
+        raise InputError("force", allowed="a load that is not zero", state="are zero", noun="force and moment")
     return loads

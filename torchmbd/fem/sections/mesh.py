@@ -180,7 +180,7 @@ class SectionMesh:
             raise InputError(
                 ("nodes", stray),
                 allowed="neighbors that share their sides",
-                state=f"lies on a side of element {element} and is none of its nodes",
+                state=f"lies on a side of element {element} and is not one of its nodes",
                 noun=f"SectionMesh: node {stray}",
             )
 

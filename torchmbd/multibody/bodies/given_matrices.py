@@ -113,7 +113,7 @@ def mesh_of(
         raise InputError(
             (name, "node_sets"),
             node_sets,
-            "those of the mesh, or nodes [n, 3]",
+            "the node sets of the mesh, or nodes [n, 3]",
             state="are given beside a Mesh",
         )
     return nodes

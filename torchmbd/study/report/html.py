@@ -76,7 +76,7 @@ def write_report(run: str, path: Path | None = None, uri: str | StoreURI | None 
             "output",
             str(path),
             "a file in one that exists",
-            state=f"= {str(path)!r}: there is no folder {str(path.parent)!r}",
+            state=f"= {str(path)!r}: the folder {str(path.parent)!r} does not exist",
         )
     with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
         path.write_text(_page(store, entry, Path(scratch)), encoding="utf-8")
