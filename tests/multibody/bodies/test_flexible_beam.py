@@ -182,7 +182,7 @@ def test_rounding_is_no_vibration(far, phases):
 def test_refusals():
     line = mbd.BeamLine.straight(1.0, 3)
     bad = (matrix(1.0, 1, 1, 1, -1, 1), MASS)
-    with refused("sections.0.5.stiffness"):
+    with refused("sections.0.5.stiffness.5.5", -1.0):
         mbd.SectionTable([0.0, 0.5, 1.0], [(SECTION.stiffness(), MASS), bad, (SECTION.stiffness(), MASS)])
     with refused("beam.line"):
         mbd.FlexibleBeam("beam", mbd.BeamLine(nn.Parameter(line.nodes.clone())), SECTION)
