@@ -63,7 +63,7 @@ CASES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: mbd.Mesh(SQUARE.nodes, SQUARE.triangles, node_sets={"a": None}),
         "node_sets of a Mesh: 'a'",
     ),
-    "nodes": (lambda: mbd.Mesh("x", SQUARE.triangles), "Mesh.nodes is 'x'"),
+    "nodes": (lambda: mbd.Mesh("x", SQUARE.triangles), "nodes is 'x'"),
     "uri": (lambda: mbd.load("run", 3), "uri is 3"),
     "allowed": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), "x"), "allowed of .* is 'x'"),
     "allowed by name": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), {"a": 1}), "allowed is {'a': 1}"),

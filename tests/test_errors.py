@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import pickle
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -109,3 +111,13 @@ def test_an_error_can_be_sent_to_another_process(error):
     received = pickle.loads(pickle.dumps(error))
     assert type(received) is type(error)
     assert (str(received), received.path, received.allowed) == (str(error), error.path, error.allowed)
+
+
+@pytest.mark.thorough
+def test_no_error_is_a_sentence_alone():
+    """Every InputError and DesignFailure that is made has a value, what is allowed, or a rule, beside its argument."""
+    for file in sorted(Path(mbd.__file__).parent.rglob("*.py")):
+        for x in ast.walk(ast.parse(file.read_text())):
+            if isinstance(x, ast.Call) and getattr(x.func, "id", "") in ("InputError", "DesignFailure"):
+                fields = {k.arg for k in x.keywords} & {"value", "allowed", "rule"}
+                assert len(x.args) + len(fields) >= 2, f"{file.name}:{x.lineno}"

@@ -14,7 +14,6 @@ import pytest
 import torchmbd as mbd
 from tests.refused import refused
 from torchmbd import process
-from torchmbd.errors import InputError
 from torchmbd.process import ONE_THREAD, _least_quota, brief_warnings, cores, imports, thread_count, worker_threads
 
 
@@ -48,7 +47,7 @@ def test_the_number_of_threads_is_that_of_the_call_the_environment_or_the_cores(
 
 @pytest.mark.parametrize("count", [0, -1, 1.5, "two", True, None])
 def test_other_numbers_of_threads_are_refused(count):
-    with pytest.raises(InputError, match=rf"threads = {count!r}: must be an integer, 1 or more. Try: mbd.threads"):
+    with refused("threads", count, "mbd.threads"):
         mbd.threads(count)
 
 

@@ -10,11 +10,10 @@ from types import SimpleNamespace
 import pytest
 
 import torchmbd as mbd
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd import registry
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.response_spec import measure_of
-from torchmbd.errors import InputError
 from torchmbd.integrate.backend import BACKENDS
 from torchmbd.math.products import PRODUCTS
 from torchmbd.study.file.kind import Kind
@@ -64,7 +63,7 @@ def test_frequencies_of_an_equilibrium_tell_what_is_not_installed(tables, monkey
     monkeypatch.setattr(equilibrium, "OF_EQUILIBRIUM", registry.Registry("of_equilibrium", {}))
     rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     assert rest.stable
-    with pytest.raises(InputError, match=r"eigenvalues of an equilibrium are not known; torchmbd\.extensions is not"):
+    with refused("eigenvalues", ANY, "torchmbd.extensions is not installed"):
         rest.frequencies  # noqa: B018
 
 

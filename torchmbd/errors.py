@@ -116,13 +116,14 @@ class InputError(MbdError, ValueError):
 
     def predicate(self, verb: str = "is") -> str:
         """The message without its subject; `verb`: before a value that stands beside values that are allowed."""
-        remedy = f". Try: {self.hint}" if self.hint else ""
         if self.rule:
             value = f"= {self._shown}: " if self._shown else ""
-            return f"{value}{self.rule}{remedy}"
-        if isinstance(self.allowed, str):
-            return f"{self._state or f'{verb} {self._shown}'}; allowed: {self.allowed}{remedy}"
-        return f"{self._shown} does not exist{nearest(self.value, self.allowed)}{remedy}"
+            text = f"{value}{self.rule}"
+        elif isinstance(self.allowed, str):
+            text = f"{self._state or f'{verb} {self._shown}'}; allowed: {self.allowed}"
+        else:
+            text = f"{self._shown} does not exist{nearest(self.value, self.allowed)}"
+        return f"{text}{'' if text.endswith('?') else '.'} Try: {self.hint}" if self.hint else text
 
     def __str__(self) -> str:
         if self._is_sentence:
@@ -198,6 +199,12 @@ def unknown(kind: str | Path, name: object, allowed: Iterable[object], path: Pat
     path  the keys to the argument; default: `kind`
     """
     return InputError(path or kind, name, list(allowed), noun=kind if isinstance(kind, str) else "")
+
+
+def not_installed(argument: str | Path, value: Any, what: str, package: str, remedy: str) -> InputError:
+    """Build the error for what needs a package that is not installed; remedy: the command that installs it."""
+    rule = f"needs the package {package}, which is not installed"
+    return InputError(argument, value, rule=rule, hint=remedy, noun=what, shown="")
 
 
 def wrong_entry(place: object, fault: str, allowed: str = "", key: str = "", hint: str = "") -> InputError:

@@ -12,8 +12,7 @@ from tests.optimization.analytic import Analytic
 from tests.optimization.counts import error
 from tests.optimization.hock_schittkowski import hock_schittkowski
 from tests.optimization.structures import three_bar_truss
-from tests.refused import refused
-from torchmbd.errors import InputError
+from tests.refused import ANY, refused
 from torchmbd.optimization import OPTIMIZERS, STATUSES, Evaluation, optimize
 from torchmbd.optimization.optimizer import Ending
 
@@ -85,14 +84,14 @@ def test_known_optimum(method, name):
 @pytest.mark.parametrize(
     ("method", "package", "remedy"),
     [
-        ("mma", "nlopt", r"pip install 'torchmbd\[nlopt\]'"),
-        ("ccsaq", "nlopt", r"pip install 'torchmbd\[nlopt\]'"),
+        ("mma", "nlopt", "pip install 'torchmbd[nlopt]'"),
+        ("ccsaq", "nlopt", "pip install 'torchmbd[nlopt]'"),
         ("ipopt", "cyipopt", "conda install"),
     ],
 )
 def test_a_missing_package_is_named(monkeypatch, method, package, remedy):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(InputError, match=f"method = '{method}' needs the package {package}.*{remedy}"):
+    with refused("method", method, package, remedy):
         optimize(quadratic(), method)
 
 
@@ -463,7 +462,7 @@ def test_start_outside_the_bounds_is_named():
 def test_wrong_names_are_answered_with_the_nearest():
     with refused("method", "mfd", meant="mmfd"):
         optimize(quadratic(), "mfd")
-    with pytest.raises(InputError, match=r"delobjs = 0.001: .*; did you mean 'delobj'"):
+    with refused("delobjs", 0.001, "did you mean 'delobj'"):
         optimize(quadratic(), "mmfd", delobjs=1e-3)
     with refused("ct", 0.03):
         optimize(quadratic(), "mmfd", ct=0.03)
@@ -494,7 +493,7 @@ def test_arguments_of_a_wrong_kind_are_named(given, fault):
 def test_gradients_of_wrong_shape_are_named():
     problem = quadratic()
     problem.evaluate = lambda X, gradients: [Evaluation(1.0, np.zeros(0), np.zeros(2), np.zeros((0, 2)))]
-    with pytest.raises(InputError, match=r"gradients of shape \(2,\) and \(0, 3\), allowed: \(3,\)"):
+    with refused("problem.evaluate", ANY, "(2,) and (0, 3)", "(3,)"):
         optimize(problem)
 
 

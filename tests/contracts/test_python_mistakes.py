@@ -14,7 +14,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from tests.refused import refused
+from tests.refused import refused, warned
 from tests.study.rod_model import build
 from torchmbd.errors import InputError, keyword_hints, true_or_false
 
@@ -142,7 +142,7 @@ MISTAKES = {
         "a function of a",
     ),
     "unit": (lambda: any_.history(abs, unit=5), "unit is 5", "the name of an SI unit"),
-    "limit": (lambda: mbd.Max(ENERGY) <= "start", "Constraint.limit is 'start'", "'initial'"),
+    "limit": (lambda: mbd.Max(ENERGY) <= "start", "limit is 'start'", "'initial'"),
     "weights": (lambda: any_.WeightedSum([(1.0,)]), "terms is [(1.0,)]", "pairs (weight, measure)"),
     "minimize a history": (lambda: problem(minimize=ENERGY), "minimize is StrainEnergy", "a measure"),
     "minimise": (
@@ -192,7 +192,7 @@ MISTAKES = {
     "robust": (lambda: mbd.RobustProblem(BOX, 0.1, "expect"), "kind 'expect'", "did you mean 'expected'"),
     # switches
     "symmetric": (lambda: any_.Laminate(PLY, [0.0], 1e-3, symmetric="no"), "symmetric is 'no'", "True or False"),
-    "rigid": (lambda: any_.Interface([0], rigid=1), "Interface.rigid is 1", "True or False"),
+    "rigid": (lambda: any_.Interface([0], rigid=1), "rigid is 1", "True or False"),
     "scaling": (lambda: any_.optimize(BOX, scaling=None), "scaling is None", "True or False"),
     "eager": (lambda: any_.multistart(BOX, eager_gradients="no"), "eager_gradients is 'no'", "True or False"),
     "second order": (lambda: any_.optimize(BOX, "mmfd", second_order="no"), "second_order is 'no'", "True or False"),
@@ -307,6 +307,6 @@ def test_a_type_error_inside_a_call_stays_what_it_is():
 
 
 def test_warnings_name_the_line_of_the_caller():
-    with pytest.warns(UserWarning, match="units of nodes") as caught:
+    with warned("units of nodes") as caught:
         mbd.mesh.rectangle(300.0, 60.0, (1, 1))
     assert {Path(warning.filename) for warning in caught} == {Path(__file__)}

@@ -7,9 +7,8 @@ import pytest
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.design.differences import Differences, differences
-from torchmbd.errors import InputError
 from torchmbd.optimization import Evaluation
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -99,18 +98,18 @@ def test_a_neighbor_that_fails_fails_its_design_alone():
 
 
 @pytest.mark.parametrize(
-    ("step", "scheme", "message"),
+    ("step", "scheme", "fault"),
     [
-        (0.0, "central", "step is 0.0; allowed: positive"),
-        (np.nan, "central", "step is nan"),
-        ([1e-3] * 3, "central", r"step has shape \(3,\); allowed: a number, or 2 numbers"),
-        (1e-3, "centrel", "did you mean 'central'"),
+        (0.0, "central", ("step", 0.0)),
+        (np.nan, "central", ("step",)),
+        ([1e-3] * 3, "central", ("step", ANY, "(3,)")),
+        (1e-3, "centrel", ("scheme", "centrel", "'central'")),
     ],
 )
-def test_bad_input_is_named(problem, step, scheme, message):
-    with pytest.raises(InputError, match=message):
+def test_bad_input_is_named(problem, step, scheme, fault):
+    with refused(*fault):
         Differences(problem, step, scheme)
-    with pytest.raises(InputError, match=message):
+    with refused(*fault):
         differences(cubic, AT, step, scheme)
 
 

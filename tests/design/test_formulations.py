@@ -137,7 +137,7 @@ def test_weighted_sum_is_one_at_the_start():
     (first,) = p.evaluate(p.start[None], gradients=False)
     assert first.objective == pytest.approx(1.0, abs=1e-12)
     against_differences(p, np.array([0.6, 0.2]))
-    with pytest.raises(InputError, match="needs the initial design"):
+    with refused("normalize", "initial"):
         both.value(p.motion(p.start))
     raw = problem(WeightedSum([(0.6, mbd.Integral(ENERGY)), (4e3, mbd.Integral(lag**2))], normalize=None))
     motion = raw.motion(raw.start)

@@ -10,7 +10,7 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.design import Constraint
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import CutCluster
@@ -161,7 +161,7 @@ def test_a_single_constraint_needs_no_list():
 
 @pytest.mark.parametrize("limit", ["start", math.inf, math.nan, True])
 def test_limits_of_constraints(limit):
-    with refused("Constraint.limit"):
+    with refused("limit"):
         _ = mbd.Max(ENERGY) <= limit
     with refused("measure"):
         Constraint(ENERGY, 1.0)
@@ -200,7 +200,7 @@ def test_numpy_in_a_response_is_named(gradients):
         return torch.as_tensor(motion.body("arm").strain_energy.numpy().max(1))
 
     p = mbd.Problem(mbd.examples.arm(), 0.01, largest, steps=4, gradients=gradients)
-    with pytest.raises(InputError, match=r"response 'largest' makes NumPy numbers .*; allowed: operations of torch"):
+    with refused("response.largest", ANY, "NumPy", "torch.maximum"):
         p.evaluate(p.start[None], True)
 
 

@@ -10,7 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
-from tests.refused import refused
+from tests.refused import ANY, refused, warned
 
 ENERGY = mbd.StrainEnergy("rod")
 REACH = mbd.Position("rod", "x", node="right")
@@ -48,7 +48,7 @@ def test_divisors_that_are_none(divisor):
 
 def test_a_chain_of_comparisons_is_refused():
     """Python would drop the first."""
-    with pytest.raises(mbd.InputError, match=r"a constraint has no truth value.*allowed: two constraints"):
+    with refused("constraint", ANY, "two constraints"):
         _ = 0.1 <= mbd.Max(ENERGY) <= 1.0
 
 
@@ -65,7 +65,7 @@ def test_a_function_that_cuts_its_gradient_is_named(motion):
     def peak(motion):
         return torch.tensor([float(x) for x in motion.body("rod").strain_energy.amax(1)], dtype=torch.float64)
 
-    with pytest.warns(UserWarning, match=r"response 'peak' has a gradient of zero.*\.item\(\)"):
+    with warned("response 'peak'", ".item()"):
         mbd.measure(peak).value_and_gradient(motion)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

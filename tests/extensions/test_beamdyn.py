@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import torch
 
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import coupled
-from tests.refused import refused
+from tests.refused import ANY, refused
 
 
 def test_a_blade_file_of_beamdyn(tmp_path):
@@ -42,14 +41,14 @@ def test_files_that_are_refused(tmp_path):
         mbd.read_beamdyn(tmp_path / "good.inp").mass(torch.tensor([0.3]))[0].diagonal(),
         2.0 * torch.ones(6, dtype=torch.float64),
     )
-    for old, new, words in (
-        (good, "nothing", "no stations"),
-        ("2 station_total", "two station_total", "no stations, station_total 'two'"),
-        ("2 station_total", "1000000000000 station_total", "27 lines for 1000000000000 stations"),
-        ("1.0\n", "x\n", r"bad.inp, line 17: could not convert string to float: 'x'; allowed: 1 numbers"),
+    for old, new, argument, fact in (
+        (good, "nothing", "bad.inp", "no stations"),
+        ("2 station_total", "two station_total", "bad.inp", "'two'"),
+        ("2 station_total", "1000000000000 station_total", "bad.inp", "27 lines for 1000000000000 stations"),
+        ("1.0\n", "x\n", "bad.inp, line 17", "'x'"),
     ):
         (tmp_path / "bad.inp").write_text(good.replace(old, new))
-        with pytest.raises(mbd.InputError, match=words):
+        with refused(argument, ANY, fact):
             mbd.read_beamdyn(tmp_path / "bad.inp")
     with refused("path"):
         mbd.read_beamdyn(tmp_path / "none.inp")

@@ -21,7 +21,7 @@ CASES = [
     *((lambda x=x: any_.read_windio(x), "path is .*; allowed: a windIO") for x in (None, [], 3, b"x")),
     *((lambda x=x: any_.LaminationRules(min_share=x), "min_share is .*; allowed: 0 to 0.25") for x in ("x", [], {})),
     *((lambda x=x: any_.LaminationRules(max_step=x), "max_step is .*; allowed: 0 to 90") for x in ("x", [], {})),
-    (lambda: any_.LaminationRules(balanced="no"), "LaminationRules.balanced is 'no'; allowed: True or False"),
+    (lambda: any_.LaminationRules(balanced="no"), "balanced is 'no'; allowed: True or False"),
     (lambda: mbd.read_bdf("b.bdf", "b", units="inch"), "'inch'.*did you mean 'in'"),
     (lambda: any_.read_bdf("none.bdf", "r", modes=2, units=3), "units.*allowed"),
 ]

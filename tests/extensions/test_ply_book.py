@@ -5,10 +5,8 @@ from __future__ import annotations
 import csv
 import xml.etree.ElementTree as ET
 
-import pytest
-
 import torchmbd as mbd
-from tests.refused import refused
+from tests.refused import refused, warned
 from torchmbd.fem.elements import Plates
 
 CARBON = mbd.examples.carbon()
@@ -54,5 +52,5 @@ def test_bad_input_is_refused(tmp_path):
         mbd.write_ply_book(two_zones(), tmp_path / "book.pdf")
     section = mbd.sections.tube(0.02, CARBON, [0.0], thickness=1e-3, cells=(8, 1))
     body, rod = two_zones(), mbd.FlexibleBody.beam("rod", mbd.BeamLine.straight(1.0, 2), section, 2)
-    with pytest.warns(UserWarning, match="body 'rod' has no laminated shells"):
+    with warned("body 'rod'", "laminated shells"):
         mbd.write_ply_book(mbd.System([body, rod], free=["panel", "rod"]), tmp_path / "book.csv")

@@ -13,7 +13,7 @@ import yaml
 
 import torchmbd as mbd
 from tests.extensions.test_windio import MATERIALS, along, layer, skin, wing
-from tests.refused import refused
+from tests.refused import ANY, refused, warned
 from torchmbd.errors import InputError
 
 CHORD, OFFSET, TWIST, FIBERS = (3.0, 1.0), (0.4, 0.4), (0.27, -0.02), 0.3
@@ -146,7 +146,7 @@ def test_version_1_may_be_stated(tmp_path):
 
 @pytest.mark.parametrize("version", [3, 3.0, "3.0", "0.9", "20", "v2", "", True, float("nan"), [2], "2.x"])
 def test_other_versions_are_refused(version, tmp_path):
-    with pytest.raises(InputError, match=r"blade\.yaml: windIO_version = .*: must be 1 or 2"):
+    with refused("blade.yaml.windIO_version", version):
         read(tmp_path, version_2() | {"windIO_version": version})
 
 
@@ -156,16 +156,16 @@ def test_versions_that_are_read(version, tmp_path):
 
 
 def test_a_later_version_2_is_read_with_a_warning(tmp_path):
-    with pytest.warns(UserWarning, match=r"windIO_version 2\.7 is read by the rules of version 2\.1"):
+    with warned("windIO_version 2.7", "2.1"):
         read(tmp_path, version_2() | {"windIO_version": "2.7"})
 
 
 def test_a_version_that_is_missing_or_wrong_is_named(tmp_path):
     data = version_2()
     del data["windIO_version"]
-    with pytest.raises(InputError, match=r"windIO_version is missing: must be 2 where the blade has an outer_shape"):
+    with refused("blade.yaml.windIO_version", ANY, "outer_shape"):
         read(tmp_path, data)
-    with pytest.raises(InputError, match=r"blade.reference_axis must be there in version 2"):
+    with refused("blade.yaml.blade.reference_axis", ANY, "version 2"):
         read(tmp_path, version_1() | {"windIO_version": "2.0"})
 
 
@@ -209,47 +209,45 @@ def test_an_anchor_by_a_part_of_the_contour(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "fault"),
     [
-        (
-            lambda s: s["anchors"].pop(1),
-            r"anchor of start_nd_arc of layer 'cap': 'cap' does not exist; nearest: 'cap_below'|",
-        ),
+        (lambda s: s["anchors"].pop(1), ("layers.cap.start_nd_arc.anchor", "cap")),
         (
             lambda s: named(s["layers"], "cap").pop("end_nd_arc"),
-            "layer 'cap'.end_nd_arc is missing: must refer to an anchor",
+            ("layers.cap.end_nd_arc",),
         ),
         (
             lambda s: named(s["layers"], "cap").update(start_nd_arc=along(0.2, 0.2)),
-            r"start_nd_arc of layer 'cap' = .*: must be an anchor, with name and handle",
+            ("layers.cap.start_nd_arc", ANY, "must be an anchor"),
         ),
         (
             lambda s: named(s["layers"], "cap").update(start_nd_arc=at("cap", "middle")),
-            r"handle of start_nd_arc of layer 'cap' = 'middle_nd_arc': must be one of start_nd_arc",
+            ("layers.cap.start_nd_arc.handle", "middle_nd_arc"),
         ),
         (
             lambda s: named(s["anchors"], "cap").update(start_nd_arc=at("cap", "start")),
-            r"start_nd_arc of anchor 'cap' refers to itself",
+            ("anchors.cap.start_nd_arc", ANY, "itself"),
         ),
         (
             lambda s: named(s["anchors"], "edge").pop("width"),
-            r"anchor 'edge' has no end_nd_arc: .* plane_intersection is not computed",
+            ("anchors.edge.end_nd_arc", ANY, "plane_intersection"),
         ),
         (
             lambda s: s["webs"][0]["anchors"][0].update(end_nd_arc=along(0.6, 0.6)),
-            r"end_nd_arc of layer 'web_skin' = 0\.6: must be 1 at 0\.5, because a layer covers its whole web",
+            ("layers.web_skin.end_nd_arc", 0.6, "must be 1 at 0.5"),
         ),
-        (lambda s: s["webs"][0].pop("anchors"), r"start_nd_arc of layer 'web_skin'.anchor 'whole' does not exist"),
+        (lambda s: s["webs"][0].pop("anchors"), ("layers.web_skin.start_nd_arc.anchor", "whole")),
         (
             lambda s: named(s["layers"], "cap").update(thickness={"grid": [[0.0, 1.0]], "values": [[0.1, 0.1]]}),
-            "thickness of cap has grid",
+            ("layers.cap.thickness", ANY, "rising"),
         ),
     ],
 )
-def test_structures_that_are_refused(change, words, tmp_path):
+def test_structures_that_are_refused(change, fault, tmp_path):
     data = copy.deepcopy(version_2())
     change(parts(data)[1])
-    with pytest.raises(InputError, match=rf"blade\.yaml: {words}"):
+    argument, *facts = fault
+    with refused(f"blade.yaml.{argument}", *facts):
         read(tmp_path, data).section(0.5, cells=12, order=1)
 
 
@@ -278,11 +276,11 @@ def test_entries_of_a_wrong_kind_are_named(tmp_path):
 def test_parts_that_are_not_made_are_warned_of(tmp_path):
     data = version_2()
     parts(data)[1]["trailing_edge_adhesive"] = {"material": "foam"}
-    with pytest.warns(UserWarning, match="trailing_edge_adhesive is left out"):
+    with warned("trailing_edge_adhesive"):
         read(tmp_path, data)
     data = version_2()
     parts(data)[1]["webs"][0]["flanges"] = [{"type": "L", "side": "both"}]
-    with pytest.warns(UserWarning, match="leaves out the flanges of web 'web'"):
+    with warned("flanges", "web 'web'"):
         read(tmp_path, data)
 
 
@@ -298,14 +296,14 @@ def test_airfoils_are_placed_by_their_relative_thickness(tmp_path):
     shape["airfoils"] = [{"name": name} for name in AIRFOILS]
     np.testing.assert_allclose(read(tmp_path, data).contour(0.5), placed, atol=1e-15)
     shape["airfoils"] = [{"name": name} for name in ("root", "tip", "root")]
-    with pytest.raises(InputError, match=r"airfoils without spanwise_position .* rise and fall"):
+    with refused("blade.yaml.airfoils", ANY, "spanwise_position", "rise and fall"):
         read(tmp_path, data)
     shape["airfoils"] = [{"name": name} for name in AIRFOILS]
     shape["rthick"] = along(0.5, 0.2)
     with refused("rthick", 0.5):
         read(tmp_path, data).contour(0.0)
     del shape["rthick"]
-    with pytest.raises(InputError, match="airfoils have neither spanwise_position nor rthick"):
+    with refused("blade.yaml.airfoils", ANY, "spanwise_position", "rthick"):
         read(tmp_path, data)
 
 

@@ -10,9 +10,8 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import linked
-from tests.refused import refused
+from tests.refused import refused, warned
 from torchmbd import registry
-from torchmbd.errors import InputError
 from torchmbd.integrate import backend
 from torchmbd.integrate.backend import BACKENDS, Backend
 from torchmbd.integrate.stepper import EagerStepper
@@ -65,7 +64,7 @@ def test_a_system_that_it_cannot_serve(monkeypatch):
     monkeypatch.setattr(BACKENDS, "_entries", {"eager": Backend, "counting": Counting})
     monkeypatch.setattr(backend, "_warned", set())
     system = linked(2)
-    with pytest.warns(UserWarning, match=r"backend 'eager' \(torch operators\), because there are two bodies"):
+    with warned("backend 'eager'", "two bodies"):
         assert motion(system, "auto", gradients="none").stats["backend"] == "eager"
     with warnings.catch_warnings():
         warnings.filterwarnings("error", "steps are made")
@@ -88,7 +87,7 @@ def test_without_the_folder_eager_serves_and_native_is_refused(monkeypatch):
 @pytest.mark.extensions  # the folder is there, native code is not
 def test_without_native_code_it_is_refused_by_name(monkeypatch):
     without(monkeypatch, "native")
-    with pytest.raises(InputError, match=r"= 'native': the extension native is not installed\. Try: 'auto' or 'eager'"):
+    with refused("backend", "native", "'auto' or 'eager'"):
         motion(PENDULUM, "native")
     with refused("backend", "cuda"):
         motion(PENDULUM, "cuda")

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.refused import warned
 from torchmbd.integrate.contacts import STEPS, UnresolvedContact, lowest
 from torchmbd.integrate.lane_status import mark_unresolved_contacts
 
@@ -71,7 +72,7 @@ def test_a_contact_shorter_than_a_step_is_found(backend):
 def test_a_contact_of_few_steps_gets_more():
     exact = 0.1
     period = 2.0 * math.sqrt(2.0 * exact / G) + _contact_time()
-    with pytest.warns(UserWarning, match="contact 'floor' of 'ground' and 'ball' from t = 0.1"):
+    with warned("contact 'floor' of 'ground' and 'ball'", "t = 0.1"):
         short = mbd.simulate(dropped(), period, steps=100, gradients="none", halvings=0)
     assert short.status[0].startswith("unresolved: contact 'floor'")
     assert f"allowed: {STEPS} steps" in short.status[0]
@@ -100,7 +101,7 @@ def test_a_contact_that_the_end_cuts_off(steps):
 
 @pytest.mark.thorough
 def test_a_contact_that_no_steps_show_keeps_its_status():
-    with pytest.warns(UserWarning, match="contact 'floor'"):
+    with warned("contact 'floor'"):
         motion = mbd.simulate(dropped(0.01, stiffness=1e13), 0.06, steps=6, gradients="none")
     assert "contact 'floor'" in motion.status[0]
 
@@ -163,7 +164,7 @@ def test_derivatives_go_through_smaller_steps(gradients):
 
 @pytest.mark.thorough
 def test_outputs_of_other_methods_and_phases():
-    with pytest.warns(UserWarning, match="is not seen in its outputs"):
+    with warned("is not seen in its outputs"):
         motion = mbd.simulate(thrown(), 0.9, "rk4", steps=80, gradients="none")
     assert motion.status[0].startswith("unresolved: contact 'ceiling'")
     phases = [mbd.Phase(until=0.1), mbd.Phase()]
@@ -283,7 +284,7 @@ def test_stops_by_a_gap_are_watched(law):
     ball = mbd.RigidBody("ball", MASS, (0.01,) * 3, position=(0.0, 0.0, 0.1))
     stop = mbd.AxialSpringDamper(GROUND.at(), ball.at(), axis="z", law=law, name="stop")
     system = mbd.System([ball], forces=[stop], gravity=(0.0, 0.0, -G), free=["ball"])
-    with pytest.warns(UserWarning, match="contact by Gap"):
+    with warned("Gap"):
         short = mbd.simulate(system, 0.25, steps=31, gradients="none", halvings=0)
     assert short.status[0].startswith("unresolved: contact by Gap(limit=0, sign=1) from t = 0.1")
     motion = mbd.simulate(system, 0.25, steps=31, gradients="none").require_ok()

@@ -13,7 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum, spoilt
-from tests.refused import refused
+from tests.refused import ANY, refused
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.errors import InputError
 
@@ -180,7 +180,7 @@ def test_it_can_be_said_which_way_gradients_come(system):
     assert mbd.simulate(system, 0.01, "rk4", steps=4).stats["gradients"] == "forward"
     motion = mbd.simulate(system, 0.01, gradients="none", **OPTIONS)
     assert (motion.stats["gradients"], motion.q.requires_grad) == ("none", False)
-    with pytest.raises(InputError, match=r"dq_db: .* adjoint.*; allowed: simulate\(..., gradients='forward'\)"):
+    with refused("gradients", "reverse", "dq_db", "gradients='forward'"):
         _ = mbd.simulate(system, 0.01, **OPTIONS).dq_db
 
 
@@ -377,7 +377,7 @@ def test_vmap_over_phases(system, angles):
     for inside in (torch.func.jacrev, torch.func.jacfwd):
         result = torch.vmap(inside(f))(many)
         assert_close(result, slopes, rtol=0, atol=1e-8 * float(slopes.abs().max()))
-    with pytest.raises(InputError, match=r"energies of lanes with phases .*vmap"):
+    with refused("motion", ANY, "vmap"):
         torch.vmap(lambda x: motion(x).energies.stored)(many)
 
 
@@ -409,7 +409,7 @@ def test_batches_of_cotangents(system, angles, way):
     expected = torch.stack([torch.autograd.grad(y, x, row, retain_graph=True)[0] for row in rows])
     result = torch.vmap(lambda row: torch.autograd.grad(y, x, row, retain_graph=True)[0])(rows)
     assert_close(result, expected, rtol=1e-9, atol=0)
-    with pytest.raises(InputError, match=r"is_grads_batched=True.*; allowed: torch.vmap over torch.autograd.grad"):
+    with refused("is_grads_batched", True, "torch.vmap"):
         torch.autograd.grad(y, x, rows, is_grads_batched=True)
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.refused import refused
-from torchmbd.errors import InputError
+from tests.refused import ANY, refused
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 
@@ -82,7 +81,7 @@ def test_bad_coordinates_are_named(rows, cols, path):
 def test_more_entries_than_an_index_counts_are_refused():
     """Indices are int32, which would wrap in silence; the tensor is one number, expanded."""
     column = torch.zeros(1, dtype=torch.int32).expand(2**31)
-    with pytest.raises(InputError, match=r"1 rows and 2147483648 entries; allowed: fewer than 2\^31"):
+    with refused("rows", ANY, "2147483648"):
         Pattern.unchecked(torch.zeros(2, dtype=torch.long), column, 1)
 
 

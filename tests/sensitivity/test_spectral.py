@@ -7,7 +7,7 @@ from torch.autograd import gradcheck
 from torch.func import jacfwd, jacrev, jvp, vmap
 
 from experiments.models.eigen_families import FAMILIES, Family
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import (
     ModalBasis,
@@ -112,10 +112,10 @@ def test_a_gradient_that_needs_values_and_vectors_of_a_cluster_together_is_refus
         values, vectors = eigenpairs(K, M, family.n)
         return loaded(vectors @ torch.diag(decay(values)) @ vectors.mT)
 
-    with pytest.raises(InputError, match="spectral_function"):
+    with refused("modes", ANY, "spectral_function"):
         jacrev(from_pairs)(at_meeting(family))
     b = at_meeting(family).requires_grad_()
-    with pytest.raises(InputError, match="spectral_function"):
+    with refused("modes", ANY, "spectral_function"):
         from_pairs(b).backward()
     assert jacrev(from_pairs)(at_meeting(family) + 0.03).isfinite().all()
 

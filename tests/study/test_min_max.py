@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
+from torchmbd.study.file.faults import StudyError
 from torchmbd.study.file.load import load_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.catalog import find
@@ -50,5 +51,6 @@ def test_a_study_of_the_highest_peaks_is_run_and_loaded(write, folder, empty_sto
 def test_a_sweep_takes_one_number(write):
     sweep = {"rod.laminate.angles[0]": {"from": -10.0, "to": 10.0, "count": 3}}
     file = write(minimize=PEAKS, sweep=sweep, optimizer=None, starts=None)
-    with pytest.raises(mbd.InputError, match=r"minimize has several rows; allowed in a sweep: one number"):
+    with pytest.raises(StudyError) as caught:
         load_study(file)
+    assert [fault.path for fault in caught.value.faults] == [("minimize",)]

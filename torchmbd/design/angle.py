@@ -70,7 +70,7 @@ class Angle(History):
                 state="is zero",
                 noun=f"angle of {self.body!r} seen from itself",
             )
-        scalar(("Angle", "center"), self.center, "a finite number [rad]")
+        scalar("center", self.center, "a finite number [rad]")
         if not isinstance(self.wrapped, bool):
             raise InputError("wrapped", self.wrapped, "True or False")
 

@@ -99,7 +99,9 @@ class AtPeaks(OfHistory):
         return curve.peaks(self.count)
 
     def __ge__(self, limit: float | str) -> Constraint:
-        raise InputError("AtPeaks >= limit looks at maxima; allowed: AtPeaks(-history) <= -limit")
+        raise InputError(
+            "constraint", self, "<=, and for minima AtPeaks(-history) <= -limit", shown=f"{self} >= {limit!r}"
+        )
 
 
 def _check_count(count: object, least: int) -> None:

@@ -82,7 +82,7 @@ class Differences:
         if scheme not in SCHEMES:
             raise unknown("scheme", scheme, SCHEMES)
         require_problem(problem)
-        require_few("Differences", len(problem.names), "the gradients of the problem itself")
+        require_few("problem", problem, "Differences", len(problem.names), "the gradients of the problem itself")
         self._problem, self.step, self.scheme = problem, _steps(step, len(problem.names)), scheme
 
     def __getattr__(self, name: str) -> Any:

@@ -93,8 +93,10 @@ def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: 
         if not any(text in str(error) for text in NUMPY_ERRORS):
             raise
         raise InputError(
-            f"response {name!r} makes NumPy numbers of a motion that is differentiated; allowed: operations of torch, such as "
-            "torch.maximum for np.maximum, without .numpy()"
+            ("response", name),
+            allowed="operations of torch, such as torch.maximum for np.maximum, without .numpy()",
+            state="makes NumPy numbers of a motion that is differentiated",
+            noun=f"response {name!r}",
         ) from error
     if not isinstance(result, Tensor) or result.shape != shape or not result.is_floating_point():
         returned = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)

@@ -281,7 +281,7 @@ class Reaction(History):
         unit_vector(self.axis)
         joint = joint_named(system, self.joint)
         if self.kind not in ("force", "torque"):
-            raise unknown(("Reaction", "kind"), self.kind, ("force", "torque"))
+            raise unknown("kind", self.kind, ("force", "torque"))
         bodies = tuple(dict.fromkeys(frame.body.name for frame in joint.frames))
         if self.on is not None and self.on not in bodies:
             raise unknown((self.joint, "body"), self.on, bodies)

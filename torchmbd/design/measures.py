@@ -92,7 +92,7 @@ def _require_history(measure: Measure, history: object) -> None:
             True,
             "the continuous angle",
             state="jumps between the samples",
-            noun=f"{name} of an angle with wrapped=True, which",
+            noun=f"{name} of an angle with wrapped=True",
         )
 
 

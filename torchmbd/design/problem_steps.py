@@ -225,11 +225,11 @@ def _first_errors(problem: Any, x: np.ndarray) -> _Errors:
     known, key = _known_of(problem), (np.asarray(x, dtype=float).tobytes(), None)
     if key not in known:
         motions = _motions(problem, x, None)
-        first = motions[0].integration.steps if motions else None
+        first = motions[0].require_repetition().steps if motions else None
         again = [motion.require_repetition() for motion in motions]
         longer = [r.by_longer_steps(m) for r, m in zip(again, motions, strict=True) if r.has_equal_steps]
         sound = [motion for motion in longer if motion is not None and all(status == OK for status in motion.status)]
-        steps = {motion.integration.steps for motion in sound}
+        steps = {motion.require_repetition().steps for motion in sound}
         errors = None
         if motions and len(sound) == len(motions) and len(steps) == 1:
             errors = _estimated(problem, sound, None, 0.0, problem.tolerance or 0.0)
@@ -274,25 +274,27 @@ def _digest_of(problem: Any) -> str | None:
 
 
 def _motions(problem: Any, x: np.ndarray, steps: int | None) -> list[Trajectory]:
-    """Motions of a design [n] without gradients, one for each system, by equal steps; none where one has no steps or fails."""
+    """Motions of a design [n] without gradients, one for each system, by equal steps; none where one fails."""
     motions = []
     for simulation, designs in problem.cases(np.asarray(x)[None]):
         try:
             motion = simulation.with_steps(steps)(designs, gradients="none")
         except (InputError, SimulationFailure):
             return []
-        if motion.integration.steps is None or any(status != OK for status in motion.status):
+        if any(status != OK for status in motion.status):
             return []
         motions.append(motion)
-    most = max((motion.integration.steps for motion in motions), default=steps)
-    return motions if all(motion.integration.steps == most for motion in motions) else _motions(problem, x, most)
+    most = max((motion.require_repetition().steps for motion in motions), default=steps)
+    return (
+        motions if all(motion.require_repetition().steps == most for motion in motions) else _motions(problem, x, most)
+    )
 
 
 def _estimated(problem: Any, motions: list[Trajectory], steps: int | None, least_size: float, enough: float) -> _Errors:
     """The largest error of all responses in all lanes of motions; not known: they fail."""
     if not motions:
         return _Errors(StepChoice(steps, math.inf, "every response", "the motion fails"), None)
-    steps = motions[0].integration.steps
+    steps = motions[0].require_repetition().steps
     if not all(motion.require_repetition().has_equal_steps for motion in motions):
         return _Errors(StepChoice(steps), None)
     measures = [(problem.objective, None), *((c.measure, c.limit) for c in problem.constraints)]

@@ -403,7 +403,7 @@ class Constraint(ConstantArguments):
                 "measure", self.measure, "a measure, such as Max(StrainEnergy('rod'))", noun="measure of a constraint"
             )
         if not isinstance(self.limit, str) or self.limit != "initial":
-            settle(self, "limit", scalar(("Constraint", "limit"), self.limit, "a finite number or 'initial'"))
+            settle(self, "limit", scalar("limit", self.limit, "a finite number or 'initial'"))
         if self.kind not in KINDS:
             raise InputError("kind", self.kind, ", ".join(KINDS), noun="kind of a constraint")
         if self.scale is not None and not (is_number(self.scale) and float(self.scale) > 0.0):
@@ -411,5 +411,9 @@ class Constraint(ConstantArguments):
 
     def __bool__(self) -> bool:
         raise InputError(
-            "a constraint has no truth value, which a chain such as 1 <= Max(...) <= 2 needs; allowed: two constraints"
+            "constraint",
+            self,
+            "two constraints",
+            noun="a constraint",
+            state="has no truth value, which a chain such as 1 <= Max(...) <= 2 needs",
         )

@@ -206,7 +206,7 @@ def _check_options(function: Callable[..., Any], options: Mapping[str, Any], bef
 
 
 def _not_imported(motion: Any) -> Any:
-    raise InputError("a function of an experiment file was not looked up")
+    raise RuntimeError("a function of an experiment file was not looked up")
 
 
 def _terms(spec: Any, path: Path, find: Find | None) -> list[tuple[float, Measure]]:

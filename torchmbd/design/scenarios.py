@@ -243,7 +243,7 @@ class Scenarios(Problem):
         try:
             return [self._motion(simulation, designs, gradients) for simulation, designs in self.cases(X)]
         except CutCluster as error:  # its lanes count scenarios, so they are no indices of designs
-            raise InputError(str(error)) from error
+            raise InputError(error.path, error.value, rule=str(error), noun="scenarios:", shown="") from error
 
     def cases(self, X: np.ndarray) -> list[tuple[Simulation, dict[str, Tensor]]]:
         return [(group.simulation, self._designs(X, list(group.settings.values()))) for group in self.groups]

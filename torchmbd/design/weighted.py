@@ -64,7 +64,12 @@ class WeightedSum(Total):
             scales = [abs(float(measure.value(motion)[0])) for measure in measures]
             for measure, scale in zip(measures, scales, strict=True):
                 if scale == 0.0:
-                    raise InputError(f"{measure!r} is zero at the initial design; allowed: normalize by numbers")
+                    raise InputError(
+                        "normalize",
+                        "initial",
+                        "a positive number for each term",
+                        state=f"is 'initial', but {measure!r} is zero at the initial design",
+                    )
         return WeightedSum([(w, m) for (w, _), m in zip(self.terms, measures, strict=True)], scales)
 
     def value(self, motion: Trajectory) -> Tensor:
@@ -80,7 +85,9 @@ class WeightedSum(Total):
             return self.terms
         if self.normalize == "initial":
             raise InputError(
-                "normalize = 'initial': the weighted sum needs the initial design, which a motion does not contain; "
-                "allowed: in a Problem, or after at_start(motion of the initial design)"
+                "normalize",
+                "initial",
+                "a sum in a Problem, or at_start(motion of the initial design)",
+                state="is 'initial', but a motion does not contain the initial design",
             )
         return [(w / float(s), m) for (w, m), s in zip(self.terms, self.normalize, strict=True)]

@@ -197,7 +197,11 @@ def _warn_of_held(
     within = within_phases(held, phases, duration)
     fitting = steps_at(within, duration)
     if within and (count is None or fitting is None or count % fitting):
-        fit = f"steps, a multiple of {fitting}" if fitting else "a duration in a simple ratio to that of the values"
+        fit = (
+            f"steps, a multiple of {fitting}"
+            if fitting
+            else "a duration in a simple ratio to the duration of the values"
+        )
         allowed = f"{fit}, or no steps" if fitting else fit
         warn(
             f"values of the controller {force.name!r} change at {_shown(within)}, where none of "

@@ -160,7 +160,7 @@ class Repetition:
         for name, x in self.simulation.system.named_parameters():
             if not torch.equal(x.detach(), self.parameters[name]):
                 raise InputError(
-                    name, allowed="simulate again", noun=f"parameter {name!r}", state="has changed since the motion"
+                    name, hint="simulate again", noun=f"parameter {name!r}", rule="has changed since the motion"
                 )
         # Times without gradients, and joints of any copy of the system.
         phases = [_plain(phase) for phase in self.simulation.phases]

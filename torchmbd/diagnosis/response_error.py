@@ -104,7 +104,8 @@ def _by_steps(
     order, finer = again.order, _numbers(response, half)
     if finer.shape != value.shape:
         raise InputError(
-            str(response),
+            "response",
+            response,
             allowed="numbers that do not change with the steps, such as mbd.Max(...) of a history",
             noun=f"response {response!r}",
             state=f"has numbers {list(value.shape)}, with finer steps {list(finer.shape)}",

@@ -140,7 +140,7 @@ def warn_static_truncation(system: System) -> None:
         _CHECKED.setdefault(body, set()).update(x)
     try:
         truncation = outside_transforms(lambda: static_truncation(system))
-    except (MbdError, torch.linalg.LinAlgError):
+    except (MbdError, torch.linalg.LinAlgError):  # pyright: ignore[reportPrivateImportUsage]
         return  # the designs to be simulated need not have the errors of the present one
     if truncation is not None and truncation.share > system.truncation:
         warn(f"{truncation}. System(..., truncation=None) does not look")

@@ -42,7 +42,7 @@ def read_beamdyn(path: str | Path) -> SectionTable:
     try:
         return SectionTable(positions, sections)
     except InputError as error:
-        raise within(path, error) from None
+        raise within(Path(path).name, error) from None
 
 
 def _stations(path: str | Path) -> list[np.ndarray]:
@@ -56,11 +56,11 @@ def _stations(path: str | Path) -> list[np.ndarray]:
     allowed = "a BeamDyn blade file, with station_total and Distributed Properties"
     if start is None or not total.isdecimal() or int(total) < 2:
         raise InputError(
-            str(file), allowed=f"{allowed}, two stations at least", state=f"has no stations, station_total {total!r}"
+            file.name, allowed=f"{allowed}, two stations at least", state=f"has no stations, station_total {total!r}"
         )
     rows = [(k, line.split()) for k, line in enumerate(lines[start + 1 :], start=start + 2) if line.strip()]
     if len(rows) < 13 * int(total):
-        raise InputError(str(file), allowed="13 for each", state=f"has {len(rows)} lines for {total} stations")
+        raise InputError(file.name, allowed="13 for each", state=f"has {len(rows)} lines for {total} stations")
     numbers: list[float] = []
     for row, (k, words) in enumerate(
         rows[: 13 * int(total)]
@@ -69,7 +69,7 @@ def _stations(path: str | Path) -> list[np.ndarray]:
         try:
             numbers += [float(word.lower().replace("d", "e")) for word in words[:count]]
         except ValueError as error:
-            raise wrong_entry(f"{file}, line {k}", f"{error}", f"{count} numbers") from None
+            raise wrong_entry(f"{file.name}, line {k}", f"{error}", f"{count} numbers") from None
         if len(words) < count:
-            raise wrong_entry(f"{file}, line {k}", f"{len(words)} numbers", f"{count}")
+            raise wrong_entry(f"{file.name}, line {k}", f"{len(words)} numbers", f"{count}")
     return list(np.array(numbers).reshape(-1, 73))

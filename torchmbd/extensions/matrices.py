@@ -51,7 +51,11 @@ def read_matrix(path: str | Path, name: str | None = None) -> LabeledMatrix:
     try:
         matrices = _read(file)
     except (ValueError, OSError, IndexError, OverflowError) as error:
-        raise error if isinstance(error, InputError) else InputError(f"{file.name}: {error}") from None
+        raise (
+            error
+            if isinstance(error, InputError)
+            else InputError("path", str(path), "a matrix file", noun=f"{file.name}:", state=f"{error}")
+        ) from None
     names = [key for key in matrices if name is None or key.upper().startswith(name.upper())]
     if name in matrices:
         names = [name]
@@ -258,8 +262,9 @@ def _dmig(file: Path) -> dict[str, LabeledMatrix | InputError]:
         if card.text(2) == "0":
             entries[name] = []
             if card.integer(3, "IFO") not in (1, 6) or card.integer(4, "TIN", 1) not in (1, 2):
-                text = f"{card}: IFO, TIN are {card.text(3)}, {card.text(4)}; allowed: 1 or 6, and real"
-                refused[name] = InputError(text)
+                refused[name] = wrong_entry(
+                    card, f"IFO, TIN are {card.text(3)}, {card.text(4)}", "1 or 6, and real", key="IFO"
+                )
             continue
         if name in refused:
             continue

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.response import Measure
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, not_installed, unknown
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import OK
@@ -61,8 +61,8 @@ def openmdao_component(
     try:
         om: Any = import_module("openmdao.api")
     except ImportError as error:
-        raise InputError(
-            "openmdao_component needs the package openmdao, which is not installed: pip install 'torchmbd[openmdao]'"
+        raise not_installed(
+            "package", "openmdao", "openmdao_component", "openmdao", "pip install 'torchmbd[openmdao]'"
         ) from error
     if gradients not in _GRADIENTS:
         raise InputError("gradients", gradients, f"{' or '.join(map(repr, _GRADIENTS))}")

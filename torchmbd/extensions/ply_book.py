@@ -76,7 +76,7 @@ def _rows(bodies: list[Any]) -> tuple[list[Row], dict[str, tuple]]:
             if laminate.field is not None or laminate.angles.dim() > 1:
                 raise InputError(
                     (body.name, zone),
-                    rule="vary over the part, or are those of several designs: must be one stack",
+                    rule="vary over the part or between designs: must be one stack",
                     hint="mbd.viz.save_mesh, which draws the fibers",
                     noun=f"plies of {body.name}.{zone}",
                 )

@@ -93,7 +93,13 @@ def likely_backend(backend: str) -> type[Backend]:
 def backend_of(dynamics: Dynamics) -> Backend:
     """The backend whose name dynamics carry; InputError where it is not installed, as on another machine."""
     if dynamics.backend not in BACKENDS:
-        raise InputError(f"steps were made by the backend {dynamics.backend!r}; {BACKENDS.missing(dynamics.backend)}")
+        raise InputError(
+            "backend",
+            dynamics.backend,
+            "the backends that are installed where steps are made",
+            noun="steps",
+            state=f"were made by the backend {dynamics.backend!r}, and {BACKENDS.missing(dynamics.backend)}",
+        )
     return BACKENDS[dynamics.backend]()
 
 

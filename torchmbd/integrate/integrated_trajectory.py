@@ -68,6 +68,7 @@ def plain(motion: Trajectory, valid_times: Tensor | None = None) -> Trajectory:
     valid_times: as in IntegratedSignals
     """
     integration = motion.integration
+    assert integration is not None
     dynamics, h = integration.dynamics.values(), integration.history
     q, v, vd, lam = (x[:, :, :1] for x in (h.q, h.v, h.vd, h.lam))
     history = History(q, v, vd, lam, integration.expansion(dynamics.data), segment=h.segment)

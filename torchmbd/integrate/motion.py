@@ -67,8 +67,11 @@ class Motion(torch.autograd.Function):
         inputs, needs_grad = ctx.saved_tensors, ctx.needs_input_grad[1:]
         if any(x is not None and _batched_by_grad(x) for x in cotangents):
             raise InputError(
-                "torch.autograd.grad of a motion has is_grads_batched=True, which torch does without the rules of its "
-                "operations; allowed: torch.vmap over torch.autograd.grad, or torch.func.jacrev"
+                "is_grads_batched",
+                True,
+                "torch.vmap over torch.autograd.grad, or torch.func.jacrev",
+                noun="torch.autograd.grad of a motion",
+                state="has is_grads_batched=True, for which torch ignores the rules of its operations",
             )
         if all(x is None for x in cotangents):
             return (None,) * (1 + len(inputs))
@@ -88,7 +91,10 @@ class Motion(torch.autograd.Function):
 
 def _refuse() -> NoReturn:
     raise InputError(
-        "a second derivative of a motion is asked for; allowed: first derivatives (second ones by differences of gradients)"
+        "motion",
+        allowed="first derivatives (second ones by differences of gradients)",
+        noun="a motion",
+        state="is being differentiated twice",
     )
 
 

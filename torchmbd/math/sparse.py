@@ -34,9 +34,8 @@ def _indices(name: str, indices: ArrayLike | Tensor, size: int) -> Tensor:
         raise InputError(
             (name, k),
             int(index[k]),
-            rule=f"is outside of 0 ... {size - 1}",
-            shown="",
-            noun=f"{name}[{k}] = {int(index[k])}",
+            f"0 to {size - 1}",
+            noun=f"{name}[{k}]",
         )
     return index
 
@@ -55,7 +54,7 @@ class Pattern:
         i, j = _indices("rows", rows, size), _indices("cols", cols, size)
         if len(i) != len(j):
             raise InputError(
-                "cols", rule=f"have {len(i)} and {len(j)} entries; equally many are needed", noun="rows and cols"
+                "cols", allowed="as many of both", state=f"have {len(i)} and {len(j)} entries", noun="rows and cols"
             )
         key = i * size + j
         if (key[1:] <= key[:-1]).any():
@@ -73,13 +72,19 @@ class Pattern:
             k = int(missing.nonzero()[0])
             raise InputError(
                 ("rows", k),
-                rule="does not have a counterpart in the other triangle. Try: store both triangles of the matrix",
+                rule="does not have a counterpart in the other triangle",
+                hint="store both triangles of the matrix",
                 noun=f"entry ({int(i[k])}, {int(j[k])})",
             )
 
     def _set(self, start: Tensor, column: Tensor, size: int) -> None:
         if max(len(column), size) >= 2**31:
-            raise InputError(f"a matrix has {size} rows and {len(column)} entries; allowed: fewer than 2^31 of both")
+            raise InputError(
+                "rows",
+                allowed="fewer than 2^31 of both",
+                noun="a matrix",
+                state=f"has {size} rows and {len(column)} entries",
+            )
         self.start, self.column, self.size = start.to(torch.int32), column.to(torch.int32), size
 
     @classmethod
@@ -142,7 +147,7 @@ class Pattern:
         row_of = torch.full((self.size,), -1, dtype=torch.long)
         row_of[kept] = torch.arange(len(kept))
         if int((row_of >= 0).sum()) != len(kept):
-            raise InputError("keep", rule="names a row more than once; each at most once is allowed")
+            raise InputError("keep", allowed="each row at most once", state="names a row more than once")
         column = row_of.to(torch.int32)[self.column]
         counted = (column >= 0) & torch.repeat_interleave(row_of >= 0, self.start.diff())
         positions = counted.nonzero().squeeze(-1)
@@ -176,7 +181,7 @@ class SparseMatrix:
     def __post_init__(self) -> None:
         if self.values.shape[-1:] != (self.pattern.nnz,):
             raise InputError(
-                "values", rule=f"have shape {tuple(self.values.shape)}; [..., {self.pattern.nnz}] is needed"
+                "values", allowed=f"[..., {self.pattern.nnz}]", state=f"have shape {tuple(self.values.shape)}"
             )
 
     @property
@@ -206,7 +211,8 @@ class SparseMatrix:
         if other.shape[-2] != self.pattern.size:
             raise InputError(
                 "other",
-                rule=f"has shape {tuple(other.shape)}; [..., {self.pattern.size}, k] is needed",
+                allowed=f"[..., {self.pattern.size}, k]",
+                state=f"has shape {tuple(other.shape)}",
                 noun="right factor",
             )
         products = self.values[..., :, None] * other[..., self.pattern.cols, :]

@@ -5,13 +5,24 @@ Checked in tests/optimization/multistart/test_batched.py, tests/optimization/mul
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from torchmbd.errors import InputError
+
 T = TypeVar("T")  # Evaluation or Criteria
 T_co = TypeVar("T_co", covariant=True)
+
+
+def wrong_count(evaluations: Sized, designs: Sized) -> InputError:
+    """Build the error for a problem that does not return an evaluation for each design."""
+    return InputError(
+        ("problem", "evaluate"),
+        allowed="one for each",
+        state=f"returned {len(evaluations)} evaluations for {len(designs)} designs",
+    )
 
 
 class Batch(Protocol[T_co]):

@@ -13,8 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from torchmbd.errors import InputError
-from torchmbd.optimization.batch import Batch, CompletedBatch, begin_batch, parallel_batches
+from torchmbd.optimization.batch import Batch, CompletedBatch, begin_batch, parallel_batches, wrong_count
 
 T = TypeVar("T")  # Evaluation or Criteria
 
@@ -137,7 +136,7 @@ class CachedProblem(Generic[T]):
 
         def complete(computed: list[T]) -> list[T]:
             if len(computed) != len(rows):
-                raise InputError(f"problem.evaluate returned {len(computed)} evaluations for {len(rows)} designs")
+                raise wrong_count(computed, rows)
             if rows:
                 self.store.keep(X[rows], gradients, computed)
             new = dict(zip(missing, computed, strict=True))

@@ -324,12 +324,17 @@ def register(name: str, dense: bool = False) -> Callable[[Method], Method]:
     return enter
 
 
-def require_few(what: str, size: int, remedy: str) -> None:
-    """Raise InputError for more variables than matrices of n x n numbers are made for."""
+def require_few(argument: str, value: Any, noun: str, size: int, remedy: str) -> None:
+    """Raise InputError for an argument that needs matrices of n x n numbers of more variables than these are made for."""
     if size > MOST_DENSE:
         raise InputError(
-            f"{what}: must not have more than {MOST_DENSE:,} design variables, because it stores n x n matrices; "
-            f"the problem has {size:,}. Try: {remedy}"
+            argument,
+            value,
+            rule=f"must not have more than {MOST_DENSE:,} design variables, because it stores n x n matrices; the "
+            f"problem has {size:,}",
+            hint=remedy,
+            noun=f"{noun}:",
+            shown="",
         )
 
 
@@ -337,7 +342,7 @@ def require_method_of_size(method: str, size: int) -> None:
     """Raise InputError for a method whose matrices do not fit to so many variables."""
     others = " or ".join(repr(name) for name in OPTIMIZERS if name not in DENSE)
     if method in DENSE:
-        require_few(f"method = {method!r}", size, f"method = {others}, or links between variables")
+        require_few("method", method, f"method = {method!r}", size, f"method = {others}, or links between variables")
 
 
 def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = ()) -> Method:

@@ -234,7 +234,9 @@ def _units(searches: ScalarizedSearches, starts: np.ndarray, names: list[str]) -
     values, slopes = known[0].values, known[0].gradients
     if values.shape != (len(names),):
         raise InputError(
-            f"problem.evaluate returned criteria of shape {values.shape}, allowed: {(len(names),)}, {', '.join(names)}"
+            ("problem", "evaluate"),
+            allowed=f"{(len(names),)}, {', '.join(names)}",
+            state=f"returned criteria of shape {values.shape}",
         )
     size = variable_scale(searches.start, searches.lower, searches.upper)
     changes = [0.0] * len(names) if slopes is None else [first_order_change(slope, size) for slope in slopes]

@@ -75,7 +75,8 @@ class RobustProblem:
         require_inside("start (inside the bounds by tolerance)", self.names, self.lower, start, self.upper)
         self.problem, self.kind, self.start = problem, kind, start
         self.tolerance = d
-        require_few("tolerance", int(np.count_nonzero(d)), "tolerance = 0 of variables that matter less")
+        size = int(np.count_nonzero(d))
+        require_few("tolerance", tolerance, "tolerance", size, "tolerance = 0 of variables that matter less")
         self.shifts, self.weights = _expected(d) if kind == "expected" else _corners(d)
         self.has_extra_variable = kind == "worst"
         self.extra = ExtraVariable(0)

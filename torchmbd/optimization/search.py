@@ -21,6 +21,7 @@ from typing import Any, Self
 import numpy as np
 
 from torchmbd.errors import InputError
+from torchmbd.optimization.batch import wrong_count
 from torchmbd.optimization.cache import MemoryStore
 from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimization.optimizer import Evaluation, Iterate, largest_violation, rank, require_range
@@ -292,7 +293,7 @@ class Search:
         allowed = designs[:remaining]
         answers = self._evaluate_batch(np.stack(allowed), gradients) if allowed else []
         if len(answers) != len(allowed):
-            raise InputError(f"problem.evaluate returned {len(answers)} evaluations for {len(allowed)} designs")
+            raise wrong_count(answers, allowed)
         for x, answer in zip(allowed, answers, strict=True):
             with_gradients = gradients or answer.objective_gradient is not None
             evaluation = checked(answer, self.size, with_gradients)
@@ -328,13 +329,16 @@ def checked(evaluation: Evaluation, size: int, gradients: bool) -> Evaluation:
     df = dc = None
     if gradients:
         if evaluation.objective_gradient is None or (c.size and evaluation.constraint_gradients is None):
-            raise InputError("problem.evaluate returned no gradients though gradients=True was asked")
+            raise InputError(
+                ("problem", "evaluate"), allowed="gradients, because gradients=True", state="returned no gradients"
+            )
         df = np.asarray(evaluation.objective_gradient, dtype=float)
         dc = np.zeros((0, size)) if not c.size else np.asarray(evaluation.constraint_gradients, dtype=float)
         if df.shape != (size,) or dc.shape != (c.size, size):
             raise InputError(
-                f"problem.evaluate returned gradients of shape {df.shape} and {dc.shape}, "
-                f"allowed: {(size,)} and {(c.size, size)}"
+                ("problem", "evaluate"),
+                allowed=f"{(size,)} and {(c.size, size)}",
+                state=f"returned gradients of shape {df.shape} and {dc.shape}",
             )
     named = {"objective": evaluation.objective, "constraints": c, "objective gradient": df, "constraint gradients": dc}
     for name, numbers in named.items():

@@ -77,9 +77,7 @@ class BodyMotion(Summary):
 
     def _flexible(self) -> int:
         if self._index >= self._T.flexible:
-            raise InputError(
-                "body", self.name, rule="is rigid; allowed here: a flexible body", shown="", noun=f"body {self.name!r}"
-            )
+            raise InputError("body", self.name, allowed="a flexible body", state="is rigid", noun=f"body {self.name!r}")
         return self._index
 
     @property

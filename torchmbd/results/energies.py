@@ -34,11 +34,6 @@ from torchmbd.results.lane_motion import has_checkpoints, has_lane_times, lane_m
 from torchmbd.results.motion_data import MotionData
 from torchmbd.summary import Summary
 
-_REFUSED = (
-    "energies of a motion with checkpoint= are being differentiated, but its steps are made again without a gradient; "
-    "allowed: checkpoint=1, or energies outside of gradients and torch.func"
-)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Energies(Summary):
@@ -75,22 +70,33 @@ def energies(motion: MotionData, lanes: Sequence[int] | None = None) -> Energies
     """The energies of some lanes of a motion; None: of all."""
     if has_lane_times(motion) and len(motion.status) != motion.lanes:
         raise InputError(
-            "energies of lanes with phases or smaller steps of their own are asked for in torch.func.vmap; "
-            "allowed: designs [lanes, ...] in one simulate"
+            "motion",
+            allowed="designs [lanes, ...] in one simulate",
+            noun="energies of lanes with phases or smaller steps of their own",
+            state="are asked for in torch.func.vmap",
         )
     remade = has_checkpoints(motion)
     if remade and in_transform(motion.q):
-        raise InputError(_REFUSED)
+        raise _refusal()
     parts = [_lane(motion, lane) for lane in (range(motion.lanes) if lanes is None else lanes)]
     result = [torch.stack(x) for x in zip(*parts, strict=True)]
     return Energies(*map(_without_gradient, result) if remade and is_differentiated(motion.q) else result)
+
+
+def _refusal() -> InputError:
+    return InputError(
+        "checkpoint",
+        allowed="checkpoint=1, or energies outside of gradients and torch.func",
+        noun="energies of a motion with checkpoint=",
+        state="are being differentiated, but its steps are made again without a gradient",
+    )
 
 
 def _without_gradient(x: Tensor) -> Tensor:
     """The numbers of x, whose derivatives are refused."""
 
     def refuse(_: Tensor) -> None:
-        raise InputError(_REFUSED)
+        raise _refusal()
 
     y = x.detach().requires_grad_()
     y.register_hook(refuse)

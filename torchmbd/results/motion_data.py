@@ -18,8 +18,18 @@ from torchmbd.math.gradients import all_true
 from torchmbd.math.module_call import run_with_parameters
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.system import System
 from torchmbd.results.mode_shapes import Shapes, SomeLanes
-from torchmbd.results.time_rows import IntegratedSignals, Rows, Signals, SomeTimes, TensorSignals, detached
+from torchmbd.results.time_rows import (
+    IntegratedSignals,
+    Integration,
+    Rows,
+    Signals,
+    SomeTimes,
+    TensorSignals,
+    detached,
+)
+from torchmbd.results.turns import Turns
 from torchmbd.summary import Summary, few
 
 OK = "ok"
@@ -132,7 +142,7 @@ class MotionData(Summary):
     signals: Signals = field(repr=False)
     status: list[str]
     stats: dict[str, Any]
-    system: Any
+    system: System
     dynamics: Dynamics
     shapes: Shapes = field(repr=False)
     designs: dict[str, Tensor] = field(default_factory=dict)
@@ -142,8 +152,8 @@ class MotionData(Summary):
     known: dict[Any, Any] | None = field(default=None, repr=False)
     good: Tensor | None = field(default=None, repr=False)
     variables: dict[str, Tensor] = field(default_factory=dict, repr=False)
-    integration: Any = field(default=None, repr=False)
-    turns: Any = field(default=None, repr=False)
+    integration: Integration | None = field(default=None, repr=False)
+    turns: Turns | None = field(default=None, repr=False)
 
     def _summary(self) -> list[tuple[str, Any]]:
         T, wrong = self.dynamics.topology, [status for status in self.status if status != OK]
@@ -214,8 +224,11 @@ class MotionData(Summary):
         from_adjoint = self.integration is not None and self.stats.get("gradients") == "reverse"
         if from_adjoint:
             raise InputError(
-                f"d{name}_db: the gradients of this motion come by the adjoint, which has no sensitivities of coordinates; "
-                "allowed: simulate(..., gradients='forward')"
+                "gradients",
+                "reverse",
+                "simulate(..., gradients='forward')",
+                noun=f"d{name}_db:",
+                state="the gradients of this motion come by the adjoint, which has no sensitivities of coordinates",
             )
         return self.sensitivities.tangents(name, rows)
 

@@ -175,8 +175,11 @@ def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
         for force in changes:
             if any(id(law) not in laws for law in force.laws.values()):
                 raise InputError(
-                    f"stresses of body {body.name!r} under {force.name!r}, for which a phase of this motion has another law: "
-                    "must be one law. Try: a function of time for the whole motion"
+                    ("phases", "laws"),
+                    force.name,
+                    "one law, such as a function of time, for the whole motion",
+                    noun=f"stresses of body {body.name!r} under {force.name!r}",
+                    state="are not computed, because a phase of this motion has another law for it",
                 )
     return changes
 

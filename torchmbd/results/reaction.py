@@ -64,8 +64,8 @@ def joint_named(system: System, name: str) -> Joint:
         raise InputError(
             "name",
             name,
-            rule=f"is used {len(joints)} times; allowed here: a unique name",
-            shown="",
+            allowed="a unique name",
+            state=f"is used {len(joints)} times",
             noun=f"joint name {name!r}",
         )
     return joints[0]

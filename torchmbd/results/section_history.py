@@ -195,8 +195,8 @@ def beams_of(body: object) -> dict[str, Beams]:
         raise InputError(
             "body",
             name,
-            rule="has no beams; allowed here: FlexibleBody.beam(...), or a model with beams",
-            shown="",
+            allowed="FlexibleBody.beam(...), or a model with beams",
+            state="has no beams",
             noun=f"body {name!r}",
         )
     return beams

@@ -87,7 +87,7 @@ def _columns(motion: MotionData, name: str) -> Columns:
         raise InputError(
             "names",
             name,
-            rule=f"is that of a {' and of a '.join(places)}: must be of one",
+            rule=f"is the name of a {' and of a '.join(places)}: must be unique",
             shown="",
             hint="rename one of them",
             noun=f"name {name!r}",

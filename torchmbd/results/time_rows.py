@@ -18,6 +18,8 @@ from torch import Tensor
 
 from torchmbd.math.gradients import all_true
 from torchmbd.math.pair import Pair
+from torchmbd.multibody.saddle.expansion import Expansion
+from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
 
 ORDERS = ("q", "v", "a")
@@ -90,13 +92,31 @@ class SomeTimes(Signals):
 class Integration(Protocol):
     """How a motion was integrated.
 
+    variables        names of the inputs whose tangents were integrated along
+    history          states of all lanes;  dynamics: the equations of motion for these designs
+    validity         how many times of each lane have numbers that count, and 1, or 0 where it has failed [2, 1, lanes]
+    expansion        leads from the states to those of the whole system, as a function of the data; None: they are the whole
     multipliers      those of all constraints [times, rows, pair, lanes] out of those that were integrated
     has_checkpoints  whether there are steps between the states that are kept
     at_all_steps     the states of one lane at all its steps; None: all were kept
     """
 
     @property
+    def variables(self) -> tuple[str, ...]: ...
+
+    @property
+    def history(self) -> History: ...
+
+    @property
+    def dynamics(self) -> Dynamics: ...
+
+    @property
+    def validity(self) -> Tensor: ...
+
+    @property
     def has_checkpoints(self) -> bool: ...
+
+    def expansion(self, data: dict[str, Any]) -> Expansion | None: ...
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor: ...
 

@@ -54,7 +54,8 @@ OF_EQUILIBRIUM: Registry[Callable[..., Any]] = Registry("of_equilibrium", {})
 def of_equilibrium(name: str) -> Callable[..., Any]:
     """A function of equilibria by its name; InputError where it is not installed."""
     if name not in OF_EQUILIBRIUM:
-        raise InputError(f"{name.replace('_', ' ')} of an equilibrium are not known; {OF_EQUILIBRIUM.missing(name)}")
+        noun = f"{name.replace('_', ' ')} of an equilibrium"
+        raise InputError(name, rule=f"are not known: {OF_EQUILIBRIUM.missing(name)}", noun=noun)
     return OF_EQUILIBRIUM[name]
 
 
@@ -249,7 +250,7 @@ class StaticIntegration:
         for lane, balance in enumerate(balances):
             if balance.failure:
                 where = f" of lane {lane}" * (len(balances) > 1) + f" at t = {float(t):g} s" * (len(self.times) > 1)
-                raise DesignFailure(balance.failure + (f" ({where.strip()})" if where else ""))
+                raise DesignFailure("system", rule=balance.failure, noun=f"system{where}:")
 
 
 @exclusive
@@ -302,7 +303,7 @@ def equilibrium(
     initial = start_of(system, start)
     if initial.in_equilibrium:
         raise InputError(
-            "start", start, "'assembled', a motion or numbers", state="is 'equilibrium', which is looked for"
+            "start", start, "'assembled', a motion or numbers", state="is 'equilibrium', which this function computes"
         )
     system = system.starting(replace(initial, is_guess=True))
     design_values = checked_designs(system, designs)

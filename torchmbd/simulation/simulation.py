@@ -40,6 +40,7 @@ from torchmbd.integrate.arguments import (
 )
 from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.forward_integration import ForwardIntegration
+from torchmbd.integrate.integrated_motion import IntegratedMotion
 from torchmbd.integrate.integrated_trajectory import at_moving_times, plain, trajectory_of
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.memory import require_memory
@@ -262,15 +263,18 @@ class Simulation(Summary):
                 motion = self._with_tangents(prepared, batch, names)
             else:
                 motion = self._with_adjoint(prepared, batch, names, self.duration if by_duration else seconds)
-            dynamics = motion.integration.dynamics
+            made = motion.integration
+            assert isinstance(made, IntegratedMotion)
+            assert made.steps is not None  # they are known once it has run
+            dynamics = made.dynamics
             motion.stats["backend"] = dynamics.backend
             motion.stats["threads"] = backend_of(dynamics).threads(dynamics, integrator.work)
             mode = "forward" if forward else "reverse"
             motion.stats["gradients"] = mode if names or by_times or start.is_differentiated else "none"
             motion.stats.pop("valid_times", None)
             with torch.no_grad():
-                values = plain(motion, motion.integration.validity[0, 0])
-                values = replace(values, switches=motion.integration.switches)
+                values = plain(motion, made.validity[0, 0])
+                values = replace(values, switches=made.switches)
                 explain(values, plain(motion))
                 if diagnose:
                     warn_of_motion(values, plain(motion))
@@ -278,7 +282,7 @@ class Simulation(Summary):
                 simulation=self,
                 designs={name: x.detach() for name, x in design_values.items()},
                 integrator=integrator,
-                steps=motion.integration.steps or len(motion.t) - 1,
+                steps=made.steps,
                 multiple=rounding(integrator, dynamics, seconds)(1),
                 parameters={name: x.detach().clone() for name, x in self.system.named_parameters()},
             )

@@ -27,7 +27,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, PositiveInt
 
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError, nearest, not_installed
 from torchmbd.process import worker_threads
 from torchmbd.study.file.faults import Fault, StudyError, located
 from torchmbd.study.file.schema import Section
@@ -124,10 +124,15 @@ def _require_accepted(script: str) -> None:
             answer = subprocess.run([sbatch, "--test-only", file.name], capture_output=True, text=True)
         if answer.returncode:
             said = " ".join(answer.stderr.replace("sbatch: error: ", "").split())
-            raise InputError(f"sbatch refuses the jobs of the cluster file: {said}")
+            raise InputError(
+                "scheduler",
+                allowed="a partition, an account and sizes that the cluster has",
+                noun="sbatch",
+                state=f"refuses the jobs of the cluster file: {said}",
+            )
 
 
 def _missing(error: ModuleNotFoundError) -> InputError:
-    return InputError(
-        f"jobs of SLURM need the package {error.name!r}: pip install 'torchmbd[slurm]'; allowed without: --workers"
+    return not_installed(
+        "scheduler", "", "the client of SLURM jobs", str(error.name), "pip install 'torchmbd[slurm]', or --workers"
     )

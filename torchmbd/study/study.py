@@ -96,8 +96,11 @@ class Study(StudySettings):
     def _ended(self) -> Outcome:
         if self.outcome is None:
             raise InputError(
-                f"study {self.name!r} has not run in this process; allowed: after study.run(), which takes what is known "
-                "from the disk"
+                "study",
+                self.name,
+                "after study.run(), which takes what is known from the disk",
+                noun=f"study {self.name!r}",
+                state="has not run in this process",
             )
         return self.outcome
 
@@ -127,7 +130,11 @@ class Study(StudySettings):
         searches = getattr(self.result, "relaxed", self.result)
         if searches is None:
             raise InputError(
-                f"study {self.name!r} ended {self.status} without a result; allowed: one whose start can be evaluated"
+                "study",
+                self.name,
+                "one whose start can be evaluated",
+                noun=f"study {self.name!r}",
+                state=f"ended {self.status} without a result",
             )
         return searches
 

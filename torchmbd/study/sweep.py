@@ -198,7 +198,7 @@ def _show(
     best: int | None,
 ) -> None:
     heading, values, criteria = result.heading, result.values, result.criteria
-    table = table_of(f"{study.name}: criteria divided by the size of those of the start design", [heading, *criteria])
+    table = table_of(f"{study.name}: criteria divided by their sizes at the start design", [heading, *criteria])
     rows = shown_rows(len(values), best)
     for k, value in ((k, values[k]) for k in rows):
         cells = [f"{ratios[k]:.4f}" if math.isfinite(ratios[k]) else "failed" for ratios in criteria.values()]

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError
 from torchmbd.tracking.run_process import end_killed
 from torchmbd.tracking.store import all_runs, open_store, own_files, store_uri
 from torchmbd.tracking.uri import StoreURI
@@ -64,7 +64,7 @@ def find(uri: StoreURI | str, run: str) -> Entry:
         if entry.run_id.startswith(run) or entry.name == run:
             return entry
     names = dict.fromkeys(entry.name for entry in entries)
-    raise InputError(f"run {run!r} is not in {store_uri(uri)}{nearest(run, names)}, or a run id")
+    raise InputError("run", run, list(names), noun=f"in {store_uri(uri)} the run", hint="a run id of torchmbd list")
 
 
 def fetch(uri: StoreURI, entry: Entry, name: str, folder: Path) -> Path | None:

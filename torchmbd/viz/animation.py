@@ -269,5 +269,10 @@ def _array(x: Any) -> np.ndarray:
 
 def _packed(x: np.ndarray) -> str:
     if not np.isfinite(x).all():
-        raise InputError("motion: must contain finite numbers only. Try: motion.status, which says why a lane failed")
+        raise InputError(
+            "motion",
+            rule="must contain finite numbers only",
+            hint="motion.status, which says why a lane failed",
+            noun="motion:",
+        )
     return base64.b64encode(np.ascontiguousarray(x, dtype="<f4").tobytes()).decode("ascii")

@@ -12,7 +12,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.multibody.statics.test_vibrations import CARBON, check_gradients, panel, richardson, tube
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.extensions.buckling import eigenproblem
 from torchmbd.extensions.buckling.buckling import BucklingCase
 from torchmbd.extensions.buckling.nodal_loads import spread
@@ -141,23 +141,26 @@ def test_loads_are_spread_over_edges_areas_and_elements():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "fault"),
     [
-        ({"body": "rod"}, "body of buckling is 'rod'; allowed: a FlexibleBody"),
-        ({"loads": 3.0}, "panel.loads is 3.0; allowed: nodes -> force"),
-        ({"loads": {"right_edge": (1.0, 2.0)}}, "allowed: 3 or 6 finite numbers"),
-        ({"loads": {"right_edge": (0.0, 0.0, 0.0)}}, "panel.loads are zero"),
-        ({"loads": {"rihgt": (0.0, 0.0, 1.0)}}, "does not exist"),
-        ({"supports": {}}, "allowed: nodes -> freedoms, at least one, or None"),
-        ({"supports": {"left_edge": "u4"}}, "support 'left_edge' of 'panel' is 'u4'"),
-        ({"supports": {"left_edge": "u3"}}, "supports of 'panel' leave it movable"),
-        ({"supports": {"left_edge": "all", 0: (1.0, None, None, None, None, None)}}, "put u1 of node 0 at two places"),
-        ({"number": 0}, "number is 0; allowed: 1 to"),
+        ({"body": "rod"}, ("body", "rod")),
+        ({"loads": 3.0}, ("panel.loads", 3.0)),
+        ({"loads": {"right_edge": (1.0, 2.0)}}, ("panel.loads.right_edge", (1.0, 2.0))),
+        ({"loads": {"right_edge": (0.0, 0.0, 0.0)}}, ("panel.loads", {"right_edge": (0.0, 0.0, 0.0)})),
+        ({"loads": {"rihgt": (0.0, 0.0, 1.0)}}, ("node", "rihgt")),
+        ({"supports": {}}, ("panel.supports", {})),
+        ({"supports": {"left_edge": "u4"}}, ("panel.supports.left_edge", "u4")),
+        ({"supports": {"left_edge": "u3"}}, ("panel.supports", ANY, "movable")),
+        (
+            {"supports": {"left_edge": "all", 0: (1.0, None, None, None, None, None)}},
+            ("panel.supports", ANY, "u1 of node 0"),
+        ),
+        ({"number": 0}, ("number", 0)),
     ],
 )
-def test_wrong_arguments_are_named(change, message):
+def test_wrong_arguments_are_named(change, fault):
     arguments: dict[str, Any] = {"body": panel((2, 2)), "loads": {"right_edge": (-1.0, 0.0, 0.0)}} | change
-    with pytest.raises(mbd.InputError, match=message):
+    with refused(*fault):
         mbd.buckling(**arguments)
 
 

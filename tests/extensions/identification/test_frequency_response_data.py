@@ -8,7 +8,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.extensions.identification import pendulum
-from tests.refused import refused
+from tests.refused import ANY, refused
 
 F = np.array([5.0, 8.0, 9.0, 14.0, 20.0])
 
@@ -78,32 +78,32 @@ def test_files_of_both_forms(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "fault"),
     [
-        ({"outputs": {}}, "outputs is empty; allowed: at least one signal"),
-        ({"outputs": [1]}, "outputs is .*; allowed: name -> signal"),
-        ({"input": 3}, "input is 3; allowed: an actuator"),
-        ({"form": "bode"}, "form"),
-        ({"frequency": "w"}, "column 'w' does not exist"),
-        ({"deviation": {"c": 1.0}}, "deviation"),
-        ({"deviation": {"a": [1.0, 2.0]}}, "deviation of output 'a' has 2 values; allowed: 5"),
+        ({"outputs": {}}, ("outputs", [])),
+        ({"outputs": [1]}, ("outputs", [1])),
+        ({"input": 3}, ("input", 3)),
+        ({"form": "bode"}, ("form", "bode")),
+        ({"frequency": "w"}, ("columns.w", "w")),
+        ({"deviation": {"c": 1.0}}, ("deviation", "c")),
+        ({"deviation": {"a": [1.0, 2.0]}}, ("a.deviation", {"a": [1.0, 2.0]})),
         (
             {"data": receptances() | {"frequency": F[::-1]}},
-            "row 1: frequency is 14 Hz; allowed: positive numbers in rising",
+            ("frequency", 14.0),
         ),
-        ({"data": receptances() | {"a": np.zeros(5, complex)}, "form": "polar"}, "output 'a' is zero or a gap"),
+        ({"data": receptances() | {"a": np.zeros(5, complex)}, "form": "polar"}, ("a", ANY, "zero or a gap")),
         (
             {"data": receptances() | {"a": np.ones(5)}},
-            "output 'a' has numbers without imaginary parts; allowed: complex",
+            ("a", ANY, "complex"),
         ),
-        ({"deviation": 0.1}, "deviation is 0.1; allowed: name of an output"),
-        ({"spinn": (0, 0, 1)}, "option of FrequencyResponseData 'spinn' does not exist.*did you mean 'spin'"),
+        ({"deviation": 0.1}, ("deviation", 0.1)),
+        ({"spinn": (0, 0, 1)}, ("options.spinn", "spinn")),
     ],
 )
-def test_bad_input_is_named(change, message):
+def test_bad_input_is_named(change, fault):
     push, outputs = ports(pendulum.row())
     arguments = {"data": receptances(), "input": push, "outputs": outputs} | change
-    with pytest.raises(mbd.InputError, match=message):
+    with refused(*fault):
         mbd.FrequencyResponseData(**arguments)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.extensions.identification import pendulum
+from tests.refused import ANY, refused
 
 TRUTH = (9e3, 4e3, 5.0, 4.0)
 
@@ -51,7 +52,7 @@ def test_a_measured_mode_without_partner_is_named():
     shown = np.zeros((3, 3))
     shown[:2, :2], shown[2, 2] = shapes, 1.0
     data = mbd.ModalData([*f, 2.0 * f[1]], shapes=shown, sensors=sensors)
-    with pytest.raises(mbd.InputError, match="3 modes are measured, and the model has 2 vibrations"):
+    with refused("frequencies", ANY, "3 modes", "2 vibrations"):
         fitted(data, ["first.stiffness"])
     data = mbd.ModalData([f[0], 2.0 * f[1]], shapes=shown[:, [0, 2]], sensors=sensors)
     fit = fitted(data, ["first.stiffness"])
@@ -78,42 +79,42 @@ def test_frequencies_of_a_flexible_body_in_rotation():
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "fault"),
     [
-        (lambda: mbd.ModalData([2.0, 1.0]), "frequencies is .*; allowed: in ascending order"),
-        (lambda: mbd.ModalData([-1.0]), r"frequencies is \[-1.0\]; allowed: positive numbers \[Hz\]"),
-        (lambda: mbd.ModalData([]), "frequencies is .*; allowed: positive numbers"),
-        (lambda: mbd.ModalData([1.0], damping=[0.1, 0.2]), "damping is .*; allowed: 1 positive numbers"),
-        (lambda: mbd.ModalData([1.0], shapes=[[1.0]]), r"shapes have shape \(1, 1\); allowed: \[0 sensors, 1 modes\]"),
+        (lambda: mbd.ModalData([2.0, 1.0]), ("frequencies", [2.0, 1.0])),
+        (lambda: mbd.ModalData([-1.0]), ("frequencies", [-1.0])),
+        (lambda: mbd.ModalData([]), ("frequencies", [])),
+        (lambda: mbd.ModalData([1.0], damping=[0.1, 0.2]), ("damping",)),
+        (lambda: mbd.ModalData([1.0], shapes=[[1.0]]), ("shapes", ANY, "(1, 1)", "[0 sensors, 1 modes]")),
         (
             lambda: mbd.ModalData([1.0], shapes=[[0.0]], sensors=[mbd.Position("a", "x")]),
-            "shapes have a mode that is zero",
+            ("shapes", [[0.0]]),
         ),
-        (lambda: mbd.ModalData([1.0], sensors=[mbd.StrainEnergy("a")]), "sensors has .*; allowed: positions"),
-        (lambda: mbd.ModalData([1.0], modes=[0]), r"modes is \[0\]; allowed: 1 different numbers"),
-        (lambda: mbd.ModalData([1.0], modes=[1.5]), r"modes is \[1.5\]; allowed: 1 different numbers"),
-        (lambda: mbd.ModalData([1.0], modes=["a"]), r"modes is \['a'\]; allowed: 1 different numbers"),
-        (lambda: mbd.ModalData([1.0], damping=["a"]), "damping is .*; allowed: 1 positive numbers"),
-        (lambda: mbd.ModalData([1.0], damping=[np.inf]), "damping is .*; allowed: 1 positive numbers"),
-        (lambda: mbd.ModalData([1.0], shapes=[["a"]], sensors=[mbd.Position("a", "x")]), "shapes have shape"),
-        (lambda: mbd.ModalData([1.0], sensors=[mbd.Position("a", "x")]), "sensors are given without shapes"),
+        (lambda: mbd.ModalData([1.0], sensors=[mbd.StrainEnergy("a")]), ("sensors", ANY, "positions")),
+        (lambda: mbd.ModalData([1.0], modes=[0]), ("modes", [0])),
+        (lambda: mbd.ModalData([1.0], modes=[1.5]), ("modes", [1.5])),
+        (lambda: mbd.ModalData([1.0], modes=["a"]), ("modes", ["a"])),
+        (lambda: mbd.ModalData([1.0], damping=["a"]), ("damping",)),
+        (lambda: mbd.ModalData([1.0], damping=[np.inf]), ("damping",)),
+        (lambda: mbd.ModalData([1.0], shapes=[["a"]], sensors=[mbd.Position("a", "x")]), ("shapes",)),
+        (lambda: mbd.ModalData([1.0], sensors=[mbd.Position("a", "x")]), ("sensors",)),
         (
             lambda: mbd.ModalData([1.0], shapes=[[1.0]], sensors=[mbd.Position("a", "x")], modes=[1]),
-            "modes is .* with shapes",
+            ("modes", [1]),
         ),
-        (lambda: mbd.ModalData([1.0], least_mac=2.0), "least_mac"),
+        (lambda: mbd.ModalData([1.0], least_mac=2.0), ("least_mac", 2.0)),
         (
             lambda: mbd.ModalData([1.0], spinn=(0, 0, 1)),
-            "option of ModalData 'spinn' does not exist.*did you mean 'spin'",
+            ("options.spinn", "spinn"),
         ),
         (
             lambda: fitted(mbd.ModalData([1.0, 2.0, 3.0]), ["first.stiffness"]),
-            "mode 3 is measured, and the model has 2 vibrations",
+            ("numbers", 3),
         ),
     ],
 )
-def test_bad_input_is_named(make, message):
-    with pytest.raises(mbd.InputError, match=message):
+def test_bad_input_is_named(make, fault):
+    with refused(*fault):
         make()
 
 
@@ -121,7 +122,7 @@ def test_partners_are_decided_where_the_search_begins():
     """The shape of b alone is a mode where the first spring is stiff: that of the start, not that of the system."""
     data = mbd.ModalData([20.0], shapes=[[0.01], [1.0]], sensors=pendulum.ROW_SENSORS, least_mac=0.99)
     experiment = mbd.Experiment(pendulum.row(), data)
-    with pytest.raises(mbd.InputError, match=r"measured modes have no partner in the model: the largest MAC is 0\."):
+    with refused("frequencies", ANY, "MAC is 0."):
         mbd.identify(experiment, ["first.stiffness"])
     stiff = mbd.identify(experiment, ["first.stiffness"], start={"first.stiffness": 1e6}, max_evaluations=1)
     assert stiff.notes[0].startswith("measured mode 1 (20 Hz) is mode 1 of the model")
@@ -158,7 +159,7 @@ def test_a_mode_that_is_damped_more_than_critically_shifts_no_other():
     model = pendulum.row(**heavy)
     fit = mbd.identify(mbd.Experiment(model, data), ["first.damping"], max_evaluations=1)
     assert abs(fit.residuals).max() < 1e-6
-    with pytest.raises(mbd.InputError, match=r"mode 1 of the model, .* Hz, does not oscillate"):
+    with refused("damping", ANY, "mode 1 of the model", kind=mbd.DesignFailure):
         mbd.Experiment(model, mbd.ModalData([f[0]], zeta)).within({}, {}).measurements[0].predict(
             mbd.Experiment(model, mbd.ModalData([f[0]], zeta)).run({}, 1, False, None), {}
         )

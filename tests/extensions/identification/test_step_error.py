@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import torchmbd as mbd
+from tests.refused import warned
 from torchmbd.extensions.identification.step_error import SHARE, StepError, finer_steps, step_error
 
 X = mbd.Position("bob", "x")
@@ -54,7 +55,7 @@ def test_steps_follow_from_the_noise(compiled):
 @pytest.mark.thorough
 def test_given_steps_that_move_unknowns_are_told(compiled):
     """The shift that is told is how far the closed form is away."""
-    with pytest.warns(UserWarning, match=r"150 steps: their error moves unknowns, in deviations: spring.stiffness"):
+    with warned("150 steps", "spring.stiffness"):
         fit = fitted(150)
     assert "150 steps: their error moves unknowns" in str(fit)
     assert abs(fit.x[0] - TRUTH[0]) > 4.0 * fit.deviation[0]

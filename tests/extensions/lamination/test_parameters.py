@@ -10,6 +10,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.extensions.lamination.conditions import directions
 
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
@@ -79,7 +80,7 @@ def test_what_needs_plies_says_that_there_are_none():
     panel = plate(mbd.LaminationParameters(mbd.examples.carbon(), 2e-3, [0.0] * 4), mesh)
     system = mbd.System([panel], [mbd.Fixed(mbd.Ground().at(), panel.at("left_edge"), name="wall")])
     motion = mbd.simulate(system, 1e-3, steps=2)
-    with pytest.raises(mbd.InputError, match="lamination parameters"):
+    with refused("laminate"):
         mbd.Max(mbd.PlyFailure("panel"))(motion)
 
 
@@ -109,5 +110,5 @@ def test_bad_input(options, words):
 
 def test_an_infeasible_control_is_named():
     field = mbd.FiberField(mbd.mesh.rectangle(0.4, 0.2, cells=(4, 2)), (2, 1), degree=1)
-    with pytest.raises(mbd.InputError, match="of control 1"):
+    with refused("membrane.1"):
         mbd.LaminationParameters(CARBON, 2e-3, [[0.0] * 4, [0.0, 0.0, math.nextafter(1.1, 2), 0.0]], field=field)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.meshes.mesh_file import mesh_file, mesh_of
 
@@ -147,7 +147,7 @@ def test_named_edges_of_abaqus(tmp_path):
     assert mesh.node_set("root") == (0, 5)
     assert {name: len(members) for name, members in zones.items()} == {"web": 1, "flange": 2, "skin": 2}
     file.write_text(file.read_text() + "*SOLID SECTION, ELSET=root, MATERIAL=AL\n1e-4\n")
-    with pytest.raises(InputError, match=r"it has beams, rods or masses"):
+    with refused("plate.inp.elements"):
         mesh_file(file)
 
 
@@ -193,7 +193,7 @@ def test_a_shell_of_nastran(tmp_path):
         ("SPC1", "CSHEAR,9,7,1,2,3,4\nSPC1", "CSHEAR 9 (plate.bdf, line 13)"),
         ("SPC1", "CBAR,9,7,1,2,0.,0.,1.\nSPC1", "CBAR 9 (plate.bdf, line 13)"),
         ("SPC1", "UNKNOWN,9\nSPC1", "UNKNOWN 9 (plate.bdf, line 13)"),
-        ("SPC1", "INCLUDE 'more.bdf'\nSPC1", "meshio reads 5 nodes and 2 cells; the file has 6 and 2"),
+        ("SPC1", "INCLUDE 'more.bdf'\nSPC1", "meshio reads 5 nodes and 2 cells; allowed: 6 and 2"),
     ],
 )
 def test_what_meshio_loses_of_nastran_is_refused(tmp_path, old, new, words):
@@ -239,7 +239,7 @@ def test_a_surface_in_two_groups_of_gmsh_counts_once(tmp_path):
     numbered = "".join(f"{k} {line}\n" for k, line in enumerate(SIX.splitlines(), start=1))
     cells = "$Elements\n3\n1 3 2 1 1 1 2 5 4\n2 3 2 2 1 1 2 5 4\n3 3 2 1 2 2 3 6 5\n$EndElements\n"
     file.write_text(f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n{GROUPS}$Nodes\n6\n{numbered}$EndNodes\n{cells}")
-    with pytest.raises(InputError, match="quad 0 and quad 1 are duplicates"):
+    with refused("plate.msh.cells.1", ANY, "quad 0 and quad 1"):
         mesh_file(file)
 
 
@@ -261,15 +261,15 @@ def test_what_cannot_be_read_is_refused(tmp_path):
     with refused("scale", 0.0):
         mesh_file(written(tmp_path, "plate.vtk"), scale=0.0)
     solid = meshio.Mesh(POINTS, [("triangle6", np.arange(6)[None])])
-    with pytest.raises(InputError, match=r"element of the mesh is 'triangle6'; allowed: triangle, quad"):
+    with refused("elements", "triangle6"):
         mesh_of(solid)
-    with pytest.raises(InputError, match="must be triangles or quadrilaterals"):
+    with refused("elements"):
         mesh_of(meshio.Mesh(POINTS, [("line", np.array([[0, 1]]))]))
     (tmp_path / "bad.vtu").write_text("<VTKFile")
-    with pytest.raises(InputError, match=r"bad\.vtu: meshio cannot read it"):
+    with refused("path", ANY, "bad.vtu: ", "meshio"):
         mesh_file(tmp_path / "bad.vtu")
     (tmp_path / "bad.xyz").write_text("nothing")
-    with pytest.raises(InputError, match=r"bad\.xyz: meshio cannot read it"):
+    with refused("path", ANY, "bad.xyz: ", "meshio"):
         mesh_file(tmp_path / "bad.xyz")
 
 

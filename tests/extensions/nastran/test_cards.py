@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.cards import parse_cards, read_cards
@@ -90,15 +90,15 @@ def test_files_that_do_not_exist_and_circles(tmp_path):
         read_cards(tmp_path / "none.bdf")
     file = tmp_path / "a.bdf"
     file.write_text("INCLUDE 'a.bdf'\n")
-    with pytest.raises(InputError, match="circle"):
+    with refused("a.bdf.INCLUDE", ANY, "circle"):
         read_cards(file)
     file.write_text("INCLUDE 'b.bdf'\n")
-    with pytest.raises(InputError, match=r"a\.bdf, line 1: INCLUDE of .*b\.bdf"):
+    with refused("a.bdf, line 1.INCLUDE", ANY, "b.bdf"):
         read_cards(file)
 
 
 def test_superelements_are_named(tmp_path):
     file = tmp_path / "model.bdf"
     file.write_text("BEGIN BULK\nGRID,1\nBEGIN SUPER=1\nGRID,1\n")
-    with pytest.raises(InputError, match=r"line 3: 'BEGIN SUPER=1' begins a superelement"):
+    with refused("model.bdf, line 3", ANY, "'BEGIN SUPER=1'"):
         read_cards(file)

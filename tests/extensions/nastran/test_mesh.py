@@ -2,12 +2,10 @@
 
 import math
 
-import pytest
 import torch
 from torch.testing import assert_close
 
-from tests.refused import refused
-from torchmbd.errors import InputError
+from tests.refused import refused, warned
 from torchmbd.extensions.nastran.cards import parse_cards
 from torchmbd.extensions.nastran.data import BulkData
 from torchmbd.extensions.nastran.mesh import bulk_mesh
@@ -42,19 +40,19 @@ def test_nodes_zones_directions_and_names():
 
 
 def test_messages_name_cards():
-    with pytest.warns(UserWarning, match=r"CTRIA3 2 \(line 9\) and CTRIA3 7 \(line 12\) are duplicates.*as they are"):
+    with warned("CTRIA3 2 (line 9)", "CTRIA3 7 (line 12)", "duplicates"):
         made(f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nCTRIA3,7,1,20,50,30,3")
     more = "\n".join(f"GRID,{k},,{k}.,{k % 3}.,{k % 2}." for k in (70, 71, 73))
     with refused("elements"):
         made(f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\n{more}\nCTRIA3,7,1,70,71,73,0.")
-    with pytest.raises(InputError, match="no elements that can be read"):
+    with refused("elements"):
         made("MAT1,1,1.,,.3,1.")
 
 
 def test_grids_at_one_place_and_loose_masses():
     """Grids of a seam stay apart and are joined by what the file says; a mass at a grid of no element is left out, by name."""
     text = f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nGRID,60,,0.,2.,0.\nGRID,70,,0.,2.,2.\nGRID,80,,0.,3.,1.\nCTRIA3,7,1,60,80,70,0.\n"
-    with pytest.warns(UserWarning, match=r"CONM2 9 .*no element holds its grid; 2 CONM2 of 5"):
+    with warned("CONM2 9", "2 CONM2 of 5"):
         result = made(f"{text}RBE2,8,20,123456,60\nGRID,90,,5.,5.,5.\nCONM2,9,90,,2.\nCONM2,11,90,,3.")
     assert len(result.mesh.nodes) == 8
     assert 90 not in result.index

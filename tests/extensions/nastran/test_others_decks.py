@@ -8,7 +8,7 @@ import warnings
 import pytest
 import torch
 
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.body import bulk_body
 
@@ -40,7 +40,7 @@ def test_continuations_are_found_by_name(read):
     assert read(*lines, *other, start=stack).parts["pcomp_1"].laminate.thickness.tolist() == [0.001, 0.002]
     same = [line.replace("+B", "+A") for line in other]
     assert len(read(*lines, *same, start=stack).parts) == 1
-    with pytest.raises(InputError, match=r"model.bdf, line 12: the continuation 'A' is not below the line"):
+    with refused("model.bdf, line 12", ANY, "'A'"):
         read(lines[0], *other, lines[1], start=stack)
 
 
@@ -137,8 +137,8 @@ def test_chains_are_bounded(read, tmp_path):
     """Files and systems that refer to one another: no recursion to the depth of the interpreter."""
     for k in range(300):
         (tmp_path / f"f{k}.bdf").write_text(f"INCLUDE 'f{k + 1}.bdf'\n")
-    with pytest.raises(InputError, match="chain of more than 100 files"):
+    with refused("f100.bdf.INCLUDE", ANY, "100"):
         read("INCLUDE 'f0.bdf'")
     lines = [f"CORD2R,{k},{k - 1},0.,0.,0.,0.,0.,1.\n,1.,0.,0." for k in range(2, 3000)]
-    with pytest.raises(InputError, match="chain of more than 100; allowed"):
+    with refused("CORD2R 2899 (model.bdf, line 5806).RID", ANY, "100"):
         read("CORD2R,1,,0.,0.,0.,0.,0.,1.\n,1.,0.,0.", *lines, "GRID,9,2999,1.,0.,0.")

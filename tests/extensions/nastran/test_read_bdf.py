@@ -14,7 +14,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.extensions.nastran.bdf_models import model
 from tests.fem.elements.plate_cases import GENERAL, freedoms
-from tests.refused import refused
+from tests.refused import refused, warned
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import PlateMatrices
 
@@ -185,7 +185,7 @@ def test_materials_without_density(body):
         values(body(text.replace(",1.586e-09", ","), units="mm", density=1586.0)), by_hand(), rtol=1e-9, atol=0
     )
     assert_close(values(body(text, units="mm", density=1.0)), by_hand(), rtol=1e-9, atol=0)
-    with pytest.raises(InputError, match="density is -1"):
+    with refused("model.bdf.density", -1):
         body(text, units="mm", density=-1)
 
 
@@ -344,17 +344,15 @@ def test_an_inverted_element_is_named_by_its_card(body):
     text = model()
     line = next(x for x in text.splitlines() if x.startswith("CQUAD4,1,"))
     grids = line.split(",")[3:7]
-    with pytest.warns(UserWarning, match=r"CQUAD4 1 \(model\.bdf, line 29\).*wound in opposite senses.*as they are"):
+    with warned("CQUAD4 1 (model.bdf, line 29)", "opposite senses"):
         body(text.replace(",".join(grids), ",".join(grids[::-1]), 1))
 
 
 @pytest.mark.thorough
 def test_what_is_left_out_is_said(body):
-    with pytest.warns(UserWarning, match=r"left out: FORCE \(2\), LOAD \(1\)"):
+    with warned("FORCE (2)", "LOAD (1)"):
         body(model(extra=["FORCE,1,601,0,1.,0.,0.,1.", "FORCE,1,602,0,1.,0.,0.,1.", "LOAD,2,1.,1.,1"]))
-    with pytest.warns(
-        UserWarning, match=r"supports of single .* are left out \(3 grids, .* is 1, components 3 by SPC1"
-    ):
+    with warned("3 grids", "components 3 by SPC1"):
         assert body(model(support="SPC1,1,3,{left}")).reference != [0, 1, 2]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -369,9 +367,7 @@ def test_weight_in_place_of_mass(body):
 
 def test_units_that_look_wrong(body):
     """A file in mm, t, s read as m, kg, s: the message tells size and first frequency."""
-    with pytest.warns(
-        UserWarning, match=r"units of body 'plate'\? its size is 316 m; .* first frequency is \S+ Hz.*'mm'"
-    ):
+    with warned("body 'plate'", "316 m", "'mm'"):
         body(model(millimeters=True))
     with refused("units", "inch"):
         body(model(), units="inch")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.refused import ANY, refused, warned
 from torchmbd.errors import InputError
 from torchmbd.extensions.nastran.body import bulk_body
 from torchmbd.extensions.nastran.inert import is_inert
@@ -51,8 +52,9 @@ def read(tmp_path, bulk: str, control: str | None = None):
     ],
 )
 def test_cards_that_are_not_known(card, tmp_path):
-    with pytest.raises(InputError, match=r"\(model.bdf, line 8\): this card cannot be read"):
+    with pytest.raises(InputError) as caught:
         read(tmp_path, card)
+    assert caught.value.argument.endswith(" (model.bdf, line 8)")
 
 
 @pytest.mark.parametrize(
@@ -116,10 +118,10 @@ def test_matrices_of_the_case_control(tmp_path):
             read(tmp_path, DMIG, command)
     with pytest.raises(InputError, match=r"DMIG KX .*: the file has no case control, which may add it"):
         read(tmp_path, DMIG)
-    with pytest.raises(InputError, match="line 3: matrix KX is chosen, and does not exist"):
+    with refused("model.bdf, line 3", ANY, "KX"):
         read(tmp_path, "", "K2GG = KX")
     for command in ("B2GG = KX", "SPC = 1"):
-        with pytest.warns(UserWarning, match="DMIG that the case control does not add to mass or stiffness"):
+        with warned("DMIG", "case control"):
             read(tmp_path, DMIG, command)
 
 
@@ -140,11 +142,11 @@ def test_materials_that_depend_on_temperature(tmp_path):
         with pytest.raises(InputError, match=r"MATT1 1 \(model.bdf, line \d+\): the case control .* temperature"):
             read(tmp_path, "MATT1,1,5", command)
     for command in ("TEMP(LOAD) = 7", "TEMPERATURE(LOAD)=7", "SPC = 1"):
-        with pytest.warns(UserWarning, match=r"left out: MATT1 \(1\)"):
+        with warned("MATT1 (1)"):
             read(tmp_path, "MATT1,1,5", command)
 
 
 def test_drilling_stiffness_of_nastran_is_told(tmp_path):
     """K6ROT is a number that Nastran gives to rotations about the normal; here they have stiffness of their own."""
-    with pytest.warns(UserWarning, match="PARAM K6ROT, as drilling freedoms have the stiffness of the membrane"):
+    with warned("PARAM K6ROT"):
         read(tmp_path, "PARAM,K6ROT,1.")

@@ -9,8 +9,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.extensions.nastran.bdf_models import model
-from tests.refused import refused
-from torchmbd.errors import InputError
+from tests.refused import refused, warned
 from torchmbd.extensions.nastran.body import bulk_body
 from torchmbd.fem.elements import Plates
 
@@ -76,12 +75,12 @@ def test_membrane_bending_and_shear_of_other_materials(parts):
     assert_close(result.D, 3.0 * 0.01**3 / 12 * soft)
     assert_close(result.As, 0.5 * 0.01 * 8e10 * torch.eye(2, dtype=torch.float64))
     assert float(part.masses().mass.sum()) == pytest.approx(8000.0 * 0.02)
-    with pytest.raises(InputError, match="no plies"):
+    with refused("laminate"):
         laminate(part).shear_shape()
 
 
 def test_a_membrane_keeps_a_little_bending(parts):
-    with pytest.warns(UserWarning, match=r"PSHELL 7 .*: MID2 is blank, a membrane; 1e-06"):
+    with warned("PSHELL 7", "MID2", "1e-06"):
         (part,) = parts("CQUAD4,1,7,1,2,3,4", "PSHELL,7,1,.01", STEEL).values()
     result = laminate(part).stiffness()
     assert float(result.D[0, 0] / result.A[0, 0]) == pytest.approx(1e-6 * 0.01**2 / 12)
@@ -94,7 +93,7 @@ def test_an_anisotropic_material_is_the_isotropic_one(parts):
     (one,) = parts(*shell, STEEL).values()
     (two,) = parts(*shell, ",".join(["MAT2", "1", *numbers, "8000."])).values()
     assert_close(laminate(two).entries(), laminate(one).entries(), rtol=1e-12, atol=1e-3)
-    with pytest.raises(InputError, match=r"MAT2 1 .*positive definite"):
+    with refused("MAT2 1 (model.bdf, line 8).G"):
         parts(*shell, "MAT2,1,1.+9,2.+9,0.,1.+9,0.,1.+9,8000.")
 
 
@@ -122,7 +121,7 @@ def test_a_shear_panel(parts):
 def test_scalar_points_and_springs_to_the_ground_are_left_out(parts):
     scalar = ["SPOINT,90,THRU,95", "CELAS2,5,1.+5,90,,91", "CMASS4,6,1.,92", "CELAS4,7,1.,93", "SPC1,3,,90,94"]
     shell = ["CQUAD4,1,7,1,2,3,4", "PSHELL,7,1,.01,1", STEEL]
-    with pytest.warns(UserWarning, match="of scalar points") as caught:
+    with warned("scalar points") as caught:
         result = parts(*shell, *scalar, "CELAS2,8,1.+5,1,3")
     words = " ".join(str(w.message) for w in caught)
     assert list(result) == ["pshell_7"]

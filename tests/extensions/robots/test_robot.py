@@ -12,8 +12,7 @@ import torch
 import torchmbd as mbd
 from experiments.peers.newton_euler import Tree
 from tests.mechanisms import finished, laminate
-from tests.refused import refused
-from torchmbd.errors import InputError
+from tests.refused import ANY, refused, warned
 from torchmbd.extensions.robots.tree import Pose
 from torchmbd.extensions.robots.urdf import urdf_robot
 
@@ -92,7 +91,7 @@ def turned(axis, angle):
 def test_an_arm_of_three_joints_follows_the_recursion(file):
     """Angular accelerations of all links at 1e-10, at the start and along a motion; links fixed to others are parts of them."""
     path = file(*ARM)
-    with pytest.warns(UserWarning, match=r"limits of joints \['j1'\] are about a turn apart"):
+    with warned("joints ['j1']", "turn"):
         system = mbd.read_urdf(path, positions=Q, velocities=RATE)
     assert [body.name for body in system.bodies] == ["link1", "link2", "link3"]
     assert system.describe().freedoms == 3
@@ -222,23 +221,23 @@ def test_a_follower_of_a_locked_joint_is_fixed(file):
 
 
 @pytest.mark.parametrize(
-    ("attributes", "given", "message"),
+    ("attributes", "given", "fault"),
     [
-        ('joint="j9"', {}, "'j3' mimics 'j9': both must be"),
-        ('joint="f1"', {}, "'j3' mimics 'f1': both must be"),
-        ('joint="j3"', {}, r"joints \['j3', 'j3'\] mimic each other in a loop"),
-        ("", {}, "joint of <mimic> is missing"),
+        ('joint="j9"', {}, ("joints.j3", ANY, "'j9'")),
+        ('joint="f1"', {}, ("joints.j3", ANY, "'f1'")),
+        ('joint="j3"', {}, ("joints.j3", ANY, "loop")),
+        ("", {}, ("robot.urdf, joint 'j3'.mimic",)),
         (
             'joint="j2"',
             {"positions": {"j2": 0.1, "j3": 0.2}},
-            r"positions\['j3'\] = 0.2: must be 0.1, because it mimics 'j2'",
+            ("positions.j3", 0.2),
         ),
-        ('joint="j2"', {"velocities": {"j3": 0.2}}, r"velocities\['j3'\] = 0.2: must be 0, because it mimics 'j2'"),
-        ('joint="j2" multiplier="fast"', {}, "multiplier is 'fast'"),
+        ('joint="j2"', {"velocities": {"j3": 0.2}}, ("velocities.j3", 0.2)),
+        ('joint="j2" multiplier="fast"', {}, ("robot.urdf, joint 'j3'.multiplier", "fast")),
     ],
 )
-def test_relations_that_cannot_be_kept_are_refused(file, attributes, given, message):
-    with pytest.raises(InputError, match=message):
+def test_relations_that_cannot_be_kept_are_refused(file, attributes, given, fault):
+    with refused(*fault):
         mbd.read_urdf(file(*mimicking(attributes)), stop_stiffness=None, **given)
 
 
@@ -271,7 +270,7 @@ def test_drives_move_joints_from_their_positions(file):
 
 def test_inertia_that_no_mass_has_is_taken_with_a_warning(file):
     path = file(PENDULUM[0], link("rod", 1.0, "0.5 0 0", 1e-3, 0.1, 0.3), hinge())
-    with pytest.warns(UserWarning, match=r"links \['rod'\]: the largest principal inertia"):
+    with warned("links ['rod']", "principal inertia"):
         system = mbd.read_urdf(path, velocities={"hinge": 1.0})
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
     np.testing.assert_allclose(
@@ -320,8 +319,8 @@ def test_a_link_is_replaced_by_a_plate(file):
 @pytest.mark.parametrize(
     ("given", "path"),
     [
-        ({"flexible": {"link9": None}}, "flexible:"),
-        ({"positions": {"j9": 1.0}}, "positions:"),
+        ({"flexible": {"link9": None}}, "flexible.link9"),
+        ({"positions": {"j9": 1.0}}, "positions.j9"),
         ({"positions": {"j1": "x"}}, "positions['j1']"),
         ({"velocities": [1.0]}, "velocities"),
         ({"flexible": {"link2": 3}}, "flexible.link2"),
@@ -329,8 +328,8 @@ def test_a_link_is_replaced_by_a_plate(file):
         ({"stop_stiffness": -1.0}, "stop_stiffness"),
         ({"stop_damping": -1.0}, "j2_stop.damping"),
         ({"locked": "j1"}, "locked"),
-        ({"locked": ["f1"]}, "locked:"),
-        ({"locked": ["j1"], "velocities": {"j1": 1.0}}, "velocities:"),
+        ({"locked": ["f1"]}, "locked.f1"),
+        ({"locked": ["j1"], "velocities": {"j1": 1.0}}, "velocities.j1"),
         ({"friction_speed": 0.0, "positions": {}}, "friction_speed"),
     ],
 )

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
+from tests.refused import refused
 
 V, GROUND = mbd.variable, mbd.Ground()
 MASS, J, POLAR = 2.0, 0.3, 0.4
@@ -91,7 +92,7 @@ def test_at_symmetry(speed):
     (span,) = torch.autograd.grad((w[1] - w[0]).square(), k, retain_graph=True)
     assert abs(span.item()) < ACCURACY
     for f in (w[0], w[1], w[1] - w[0]):
-        with pytest.raises(mbd.DesignFailure, match=r"coincide at .* a single one has no derivative"):
+        with refused("number", [2, 3], kind=mbd.DesignFailure):
             torch.autograd.grad(f, k, retain_graph=True)
     cluster = mbd.SystemFrequency(cluster=(2, 3), speed=speed, axis="x", observer="ground")
     system = rotor()
@@ -108,5 +109,5 @@ def test_at_symmetry(speed):
         return cut(mbd.simulate(system, 1e-4, steps=2, designs={"bearing0.stiffness_y": k}))[0]
 
     for gradient in (lambda: torch.autograd.grad(half(k), k), lambda: torch.func.jacfwd(half)(k.detach())):
-        with pytest.raises(mbd.DesignFailure, match=r"eigenvalues 2, 3 coincide at .* a single one has no derivative"):
+        with refused("number", [2, 3], "eigenvalues 2, 3", kind=mbd.DesignFailure):
             gradient()

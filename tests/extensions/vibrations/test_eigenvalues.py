@@ -15,6 +15,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import SOFT, laminate, plate, turned
 from tests.multibody.equilibrium.test_ground_observer import rotor
+from tests.refused import refused
 from tests.sensitivity.number_cases import differences
 from tests.sensitivity.test_rest import NAMES, hanging
 from torchmbd.extensions.vibrations.spectrum import Spectrum
@@ -115,7 +116,7 @@ def test_eigenvalues_that_coincide():
     assert float(w[0, 2]) == pytest.approx(float(w[0, 3]), rel=1e-9)
     pair = w[0, 2:4].sum()
     slope = torch.autograd.grad(pair, list(k.values()), retain_graph=True)
-    with pytest.raises(mbd.InputError, match=r"eigenvalues 3, 4 coincide.*single one has no derivative"):
+    with refused("number", [3, 4]):
         torch.autograd.grad(w[0, 2], list(k.values()), retain_graph=True)
     h = 1e2
     for name, by in zip(names, slope, strict=True):
@@ -131,13 +132,13 @@ def test_what_has_no_derivative_is_named():
     body = mbd.RigidBody("disk", V(2.0), (0.02, 0.01, 0.01))
     hinge = mbd.Revolute(GROUND.at(), body.at(), axis="z")
     system = mbd.System([body], [hinge])
-    with pytest.raises(mbd.InputError, match="eigenvalue 1 has no derivative: it is zero, that of a free motion"):
+    with refused("number", 1, "free motion"):
         mbd.equilibrium(system).frequencies.sum().backward()
-    with pytest.raises(mbd.InputError, match="no derivative: it is zero, that of a free motion"):
+    with refused("number", 1, "free motion"):
         mbd.equilibrium(system).poles.real.sum().backward()
     spring = mbd.RotationalSpringDamper(GROUND.at(), body.at(), axis="z", stiffness=V(3.0), name="s")
     held, x = mbd.System([body], [hinge], [spring]), torch.tensor(2.0, dtype=torch.float64)
-    with pytest.raises(mbd.InputError, match="second derivative"):
+    with refused("motion"):
         torch.func.hessian(lambda k: mbd.equilibrium(held, designs={"s.stiffness": k[None]}).frequencies[0, 0])(x)
 
 
@@ -164,7 +165,7 @@ def test_poles_of_a_free_motion_are_zero_and_the_others_count():
     motion = mbd.simulate(chain(), 1e-4, steps=2)
     assert float(mbd.DampingRatio(1)(motion)) == pytest.approx(0.1)
     assert float(mbd.StabilityMargin()(motion)) == 0.0
-    with pytest.raises(mbd.DesignFailure, match="it is zero, that of a free motion"):
+    with refused("number", 2, "free motion", kind=mbd.DesignFailure):
         mbd.StabilityMargin()(motion).sum().backward()
 
 
@@ -176,7 +177,7 @@ def test_slow_poles_of_strong_dampers_are_no_free_motions():
 def test_poles_without_a_mass_are_refused_by_name():
     body = mbd.RigidBody("mass", 1.0, (0.0, 0.0, 0.0))
     system = mbd.System([body], [mbd.Spherical(GROUND.at(), body.at(0, 0, -1.0))], gravity=(0, 0, -9.81))
-    with pytest.raises(mbd.DesignFailure, match="can move without moving a mass"):
+    with refused("system", kind=mbd.DesignFailure):
         mbd.equilibrium(system).poles  # noqa: B018
 
 
@@ -244,5 +245,5 @@ def test_a_refusal_names_the_design():
     spring = mbd.RotationalSpringDamper(mbd.Ground().at(), wheel.at(), "z", stiffness=mbd.variable(4.0), name="spring")
     k = torch.tensor([4.0, 0.0], dtype=torch.float64, requires_grad=True)
     rest = mbd.equilibrium(mbd.System([wheel], [hinge], [spring]), designs={"spring.stiffness": k})
-    with pytest.raises(mbd.DesignFailure, match="eigenvalue 1 of lane 1 has no derivative: it is zero"):
+    with refused("number", 1, "lane 1", kind=mbd.DesignFailure):
         rest.frequencies.sum().backward()

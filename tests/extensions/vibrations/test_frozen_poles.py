@@ -89,7 +89,7 @@ def test_what_has_no_derivative_is_named():
     mass = torch.tensor([1.5], dtype=torch.float64, requires_grad=True)
     s = mbd.frozen_poles(mbd.simulate(swinging(gravity=0.0), 0.1, steps=20, designs={"bob.mass": mass}))
     assert s.abs().max().item() < 1e-6
-    with pytest.raises(mbd.DesignFailure, match="eigenvalue 1 has no derivative: it is "):
+    with refused("number", 1, kind=mbd.DesignFailure):
         s.imag.sum().backward()
 
 

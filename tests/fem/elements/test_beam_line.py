@@ -51,7 +51,7 @@ def test_any_nodes_and_branches():
         ({"elements": [[0, 1], [2, 2]]}, ["element 1", "no length"]),
         ({"elements": [[0, 1], [1, 5]]}, ["element 1", "0 to 2"]),
         ({"elements": [[0, 1, 2]]}, ["shape (1, 3)", "[m, 2]"]),
-        ({"elements": [[0, 1.5]]}, ["BeamLine.elements holds 1.5"]),
+        ({"elements": [[0, 1.5]]}, ["elements holds 1.5"]),
         ({"elements": [[0, 1]]}, ["2 disconnected parts", "node 2"]),
         ({"node_sets": {"tip": [3]}}, ["'tip'", "node 3", "0 to 2"]),
         ({"node_sets": {"tip": [0.7]}}, ["'tip' holds 0.7", "whole numbers"]),

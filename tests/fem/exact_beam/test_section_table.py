@@ -9,7 +9,7 @@ import torch
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import PLANE, coupled, given, matrix
 from tests.fem.exact_beam.cosserat import cantilever
-from tests.refused import refused
+from tests.refused import ANY, refused
 
 
 def test_a_table_is_linear_between_its_stations():
@@ -123,7 +123,7 @@ def test_one_section_for_each_element():
 def test_a_section_that_is_not_positive_definite_is_refused_with_its_position():
     bad = matrix(1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     bad[4, 5] = bad[5, 4] = 2.0
-    with pytest.raises(mbd.InputError, match=r"position 0\.3.*not positive definite"):
+    with refused("sections.0.3.stiffness", ANY, "positive definite"):
         mbd.SectionTable([0.0, 0.3, 1.0], [(PLANE, PLANE), (bad, PLANE), (PLANE, PLANE)])
     table = mbd.SectionTable([0.0, 0.5, 1.0], [given(*[1.0] * 6) for _ in range(3)])
     beam = mbd.ExactBeam("blade", mbd.BeamLine.straight(2.0, 4), table)
@@ -155,5 +155,5 @@ def test_more_that_is_refused():
         mbd.ExactBeam("fork", line, table)
     with refused("fork.section"):
         mbd.ExactBeam("fork", line, [given(*[1.0] * 6)] * 2)
-    with pytest.raises(mbd.InputError, match=r"turns by more than 2\.6 rad"):
+    with refused("ring.line", ANY, "2.6 rad"):
         mbd.ExactBeam("ring", mbd.BeamLine.arc(1.0, 3.0, 1), given(*[1.0] * 6))

@@ -159,8 +159,8 @@ def test_entries_follow_their_published_order():
     [
         ({"angles": [45.0, -45.0]}, "angles.0"),
         ({"angles": [0.0, math.nan]}, "angles.1"),
-        ({"angles": []}, "Laminate.angles"),
-        ({"angles": [[0.0]]}, "Laminate.angles"),
+        ({"angles": []}, "angles"),
+        ({"angles": [[0.0]]}, "angles"),
         ({"thickness": [1e-3] * 3}, "thickness"),
         ({"thickness": [1e-3, 0.0]}, "thickness.1"),
         ({"thickness": -1e-3}, "thickness.0"),

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh, directed_area, rectangle
 
@@ -49,24 +49,32 @@ def test_a_mesh_travels_to_another_process():
 
 
 @pytest.mark.parametrize(
-    ("nodes", "triangles", "message"),
+    ("nodes", "triangles", "fault"),
     [
-        ([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[0, 1, 2]], r"nodes has shape \(3, 2\)"),
-        ([*SQUARE[:3], [0.0, math.nan, 0.0]], HALVES, "node 3 is at"),
-        ([*SQUARE, SQUARE[1]], [[0, 1, 2], [0, 2, 3], [4, 2, 3]], "node 1 and node 4 share one place"),
-        ([*SQUARE, [1.0, 1e-8, 0.0]], [[0, 1, 2], [0, 2, 3], [4, 2, 3]], "node 1 and node 4 share one place"),
-        (SQUARE, [[0, 1, 2], [0, 2, 4]], r"triangle 1 has nodes \[0, 2, 4\]; allowed: 0 to 3"),
-        (SQUARE, [[0, 1, 2, 3]], r"triangles has shape \(1, 4\)"),
-        (SQUARE, [*HALVES, [2, 0, 1]], "triangle 0 and triangle 2 are duplicates"),
-        (SQUARE, [[0, 1, 2], [0, 2, 2]], "triangle 1, nodes .* is collapsed"),
-        ([*SQUARE, [0.5, 1e-9, 0.0]], [*HALVES, [0, 1, 4]], "triangle 2, nodes .* is collapsed"),
-        (SQUARE, [[0, 1, 2]], "1 orphan nodes belong to no element: node 3"),
-        (SQUARE, [[0, 1, 2], [0, 3, 2]], "triangle 0.* and triangle 1.* are wound in opposite senses"),
-        ([*SQUARE, [5.0, 0, 0], [6.0, 0, 0], [5.0, 1, 0]], [*HALVES, [4, 5, 6]], "2 disconnected parts .node 4"),
+        ([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[0, 1, 2]], ("nodes", ANY, "(3, 2)")),
+        ([*SQUARE[:3], [0.0, math.nan, 0.0]], HALVES, ("nodes.3",)),
+        ([*SQUARE, SQUARE[1]], [[0, 1, 2], [0, 2, 3], [4, 2, 3]], ("nodes.4", ANY, "node 1 and node 4", "one place")),
+        (
+            [*SQUARE, [1.0, 1e-8, 0.0]],
+            [[0, 1, 2], [0, 2, 3], [4, 2, 3]],
+            ("nodes.4", ANY, "node 1 and node 4", "one place"),
+        ),
+        (SQUARE, [[0, 1, 2], [0, 2, 4]], ("cells.1", [0, 2, 4])),
+        (SQUARE, [[0, 1, 2, 3]], ("triangles", ANY, "(1, 4)")),
+        (SQUARE, [*HALVES, [2, 0, 1]], ("cells.2", ANY, "triangle 0 and triangle 2", "duplicates")),
+        (SQUARE, [[0, 1, 2], [0, 2, 2]], ("cells.1", [0, 2, 2])),
+        ([*SQUARE, [0.5, 1e-9, 0.0]], [*HALVES, [0, 1, 4]], ("cells.2", [0, 1, 4])),
+        (SQUARE, [[0, 1, 2]], ("nodes", ANY, "node 3")),
+        (SQUARE, [[0, 1, 2], [0, 3, 2]], ("cells.1", ANY, "triangle 0", "triangle 1", "opposite")),
+        (
+            [*SQUARE, [5.0, 0, 0], [6.0, 0, 0], [5.0, 1, 0]],
+            [*HALVES, [4, 5, 6]],
+            ("elements", ANY, "2 disconnected", "node 4"),
+        ),
     ],
 )
-def test_bad_mesh_is_refused_by_name(nodes, triangles, message):
-    with pytest.raises(InputError, match=message):
+def test_bad_mesh_is_refused_by_name(nodes, triangles, fault):
+    with refused(*fault):
         Mesh(nodes, triangles)
 
 
@@ -94,7 +102,7 @@ def test_lines_connect_and_are_checked():
 
 def test_messages_use_the_labels():
     labels = {"node_labels": [f"GRID {k}" for k in (7, 8, 9, 10)], "cell_labels": ["CTRIA3 1", "CTRIA3 2"]}
-    with pytest.raises(InputError, match=r"CTRIA3 1, nodes .*, and CTRIA3 2, nodes .*, are wound in opposite senses"):
+    with refused("cells.1", ANY, "CTRIA3 1", "CTRIA3 2", "opposite"):
         Mesh(SQUARE, [[0, 1, 2], [0, 3, 2]], **labels)
     with refused("nodes"):
         Mesh(SQUARE, [[0, 1, 2]], **labels)
@@ -136,24 +144,28 @@ def test_quadrilaterals_are_counted_after_the_triangles():
 
 
 @pytest.mark.parametrize(
-    ("nodes", "quads", "message"),
+    ("nodes", "quads", "fault"),
     [
-        (SQUARE, [[0, 1, 2, 4]], r"quad 0 has nodes \[0, 1, 2, 4\]; allowed: 0 to 3"),
-        (SQUARE, [[0, 1, 2]], r"quads has shape \(1, 3\)"),
-        (SQUARE, [[0, 1, 2, 3], [1, 2, 3, 0]], "quad 0 and quad 1 are duplicates"),
-        (SQUARE, [[0, 1, 3, 2]], r"quad 0, nodes \[0, 1, 3, 2\], is collapsed, concave or crosses itself"),
+        (SQUARE, [[0, 1, 2, 4]], ("cells.0", [0, 1, 2, 4])),
+        (SQUARE, [[0, 1, 2]], ("quads", ANY, "(1, 3)")),
+        (SQUARE, [[0, 1, 2, 3], [1, 2, 3, 0]], ("cells.1", ANY, "quad 0 and quad 1", "duplicates")),
+        (SQUARE, [[0, 1, 3, 2]], ("cells.0", [0, 1, 3, 2], "collapsed")),
         (
             [*SQUARE[:2], [0.3, 0.3, 0.0], SQUARE[3]],
             [[0, 1, 2, 3]],
-            "quad 0, .* is collapsed, concave or crosses itself",
+            ("cells.0", ANY, "collapsed"),
         ),
-        ([*SQUARE[:3], [0.5, 0.0, 0.0]], [[3, 1, 2, 0]], "quad 0, .* is collapsed, concave or crosses itself"),
-        ([*SQUARE[:3], [0.0, 1.0, 2.0]], [[0, 1, 2, 3]], "quad 0, .* is warped by more than 40 degrees; cut it in two"),
-        ([*SQUARE, [2.0, 0, 0], [2.0, 1, 0]], [[0, 1, 2, 3], [1, 2, 5, 4]], "quad 0.* and quad 1.* opposite senses"),
+        ([*SQUARE[:3], [0.5, 0.0, 0.0]], [[3, 1, 2, 0]], ("cells.0", ANY, "collapsed")),
+        ([*SQUARE[:3], [0.0, 1.0, 2.0]], [[0, 1, 2, 3]], ("cells.0", ANY, "40 degrees")),
+        (
+            [*SQUARE, [2.0, 0, 0], [2.0, 1, 0]],
+            [[0, 1, 2, 3], [1, 2, 5, 4]],
+            ("cells.1", ANY, "quad 0", "quad 1", "opposite"),
+        ),
     ],
 )
-def test_bad_quadrilaterals_are_refused_by_name(nodes, quads, message):
-    with pytest.raises(InputError, match=message):
+def test_bad_quadrilaterals_are_refused_by_name(nodes, quads, fault):
+    with refused(*fault):
         Mesh(nodes, quads=quads)
 
 

@@ -7,8 +7,7 @@ import pytest
 import scipy.linalg
 import torch
 
-from tests.refused import refused
-from torchmbd.errors import InputError
+from tests.refused import ANY, refused
 from torchmbd.fem.reduction import (
     REDUCTIONS,
     CraigBampton,
@@ -142,39 +141,39 @@ def changed(matrix: torch.Tensor, index: tuple[int, ...], value: float) -> torch
 
 
 @pytest.mark.parametrize(
-    ("K", "M", "n", "interface", "message"),
+    ("K", "M", "n", "interface", "fault"),
     [
-        (changed(K_GOOD, (2, 3), torch.nan), M_GOOD, 2, [0], r"K\[2, 3\] = nan"),
-        (changed(K_GOOD, (1, 4), 9.0), M_GOOD, 2, [0], r"K\[1, 4\] differs by"),
-        (K_GOOD, changed(M_GOOD, (5, 5), -1.0), 2, [0], r"M\[5, 5\] = -1"),
-        (K_GOOD, changed(M_GOOD, (0, 0), torch.inf), 2, [0], r"M\[0, 0\] = inf"),
-        (K_GOOD, M_GOOD, 6, [0], r"n = 6 fixed-interface modes; allowed: 0 \.\.\. 5"),
-        (K_GOOD, M_GOOD, -1, [0], "n = -1"),
-        (K_GOOD, M_GOOD, True, [0], "n = True"),
-        (K_GOOD, M_GOOD, 2, [6], r"interface has the freedom 6; allowed: 0 \.\.\. 5"),
-        (K_GOOD, M_GOOD, 2, [0.7], "interface holds 0.7; allowed: whole numbers"),
-        (K_GOOD, M_GOOD, 2, [1, 1], "the freedom 1 more than once"),
-        (K_GOOD, M_GOOD, 2, [], "interface has 0 of 6 freedoms"),
-        (K_GOOD, M_GOOD, 0, [0, 1, 2, 3, 4, 5], "interface has 6 of 6 freedoms"),
+        (changed(K_GOOD, (2, 3), torch.nan), M_GOOD, 2, [0], ("K", ANY, "[2, 3] is nan")),
+        (changed(K_GOOD, (1, 4), 9.0), M_GOOD, 2, [0], ("K", ANY, "[1, 4]")),
+        (K_GOOD, changed(M_GOOD, (5, 5), -1.0), 2, [0], ("M", -1.0, "[5, 5]")),
+        (K_GOOD, changed(M_GOOD, (0, 0), torch.inf), 2, [0], ("M", ANY, "[0, 0] is inf")),
+        (K_GOOD, M_GOOD, 6, [0], ("n", 6)),
+        (K_GOOD, M_GOOD, -1, [0], ("n", -1)),
+        (K_GOOD, M_GOOD, True, [0], ("n", True)),
+        (K_GOOD, M_GOOD, 2, [6], ("interface", [6])),
+        (K_GOOD, M_GOOD, 2, [0.7], ("interface", ANY, "0.7")),
+        (K_GOOD, M_GOOD, 2, [1, 1], ("interface", [1, 1])),
+        (K_GOOD, M_GOOD, 2, [], ("interface", [])),
+        (K_GOOD, M_GOOD, 0, [0, 1, 2, 3, 4, 5], ("interface", [0, 1, 2, 3, 4, 5])),
         (
             torch.block_diag(torch.eye(3).double(), torch.zeros(3, 3).double()),
             M_GOOD,
             1,
             [0],
-            "not positive definite with the interface held",
+            ("K", ANY, "interface"),
         ),
-        (torch.diag(torch.arange(6.0).double()), torch.ones(6).double(), 2, [2], "K is not positive definite"),
+        (torch.diag(torch.arange(6.0).double()), torch.ones(6).double(), 2, [2], ("K",)),
         (
             torch.diag(torch.tensor([1.0, 2, 3, 3, 4, 5]).double()),
             torch.ones(6).double(),
             2,
             [0],
-            "n = 2 cuts a cluster",
+            ("n", 2),
         ),
     ],
 )
-def test_bad_input_is_named(K, M, n, interface, message):
-    with pytest.raises(InputError, match=message):
+def test_bad_input_is_named(K, M, n, interface, fault):
+    with refused(*fault):
         craig_bampton(K, M, n, interface)
 
 
@@ -189,7 +188,7 @@ def test_as_many_modes_as_it_takes():
 
 def test_a_lane_that_is_loose_is_named():
     K = torch.stack([K_GOOD, torch.block_diag(K_GOOD[:5, :5], torch.zeros(1, 1).double())])
-    with pytest.raises(InputError, match="K of lane 1 is not positive definite"):
+    with refused("K", ANY, "lane 1", "positive definite"):
         craig_bampton(K, M_GOOD, 1, [0])
 
 

@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 import torch
 
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import CutCluster, modal_basis
 from torchmbd.math.sparse import Pattern, SparseMatrix
@@ -105,12 +105,12 @@ def test_all_modes_together_span_everything_and_only_turn():
 def test_a_cut_cluster_is_refused_with_both_ways_out():
     K = torch.diag(torch.tensor([1.0, 2.0, 2.0, 2.0 + 1e-9, 5.0], dtype=torch.float64))
     M = torch.ones(5, dtype=torch.float64)
-    with pytest.raises(InputError, match=r"n = 3 cuts a cluster: eigenvalues 3 and 4 .* take n = 1 or n = 4"):
+    with refused("n", 3, "3 and 4", "n = 1 or n = 4"):
         modal_basis(K, M, 3)
     free = torch.diag(torch.tensor([0.0, 0.0, 0.0, 2.0, 3.0], dtype=torch.float64))
-    with pytest.raises(InputError, match="take n = 3"):
+    with refused("n", 2, "n = 3"):
         modal_basis(free, M, 2)
-    with pytest.raises(InputError, match="of lane 1"):
+    with refused("n", 3, "lane 1"):
         modal_basis(torch.stack([K + torch.diag(torch.arange(5.0).double()), K]), M, 3)
     assert modal_basis(K, M, 4).vectors.shape == (5, 4)
     assert modal_basis(K, M, 3, cluster=1e-12).vectors.shape == (5, 3)
@@ -120,7 +120,7 @@ def test_every_lane_that_cuts_a_cluster_is_named_so_that_the_others_can_go_on():
     M = torch.ones(4, dtype=torch.float64)
     rows = [[1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 2.0, 4.0], [1.0, 2.5, 3.0, 4.0], [1.0, 3.0, 3.0, 5.0]]
     K = torch.diag_embed(torch.tensor(rows, dtype=torch.float64))
-    with pytest.raises(CutCluster, match=r"of lane 1 \(and of lanes 3\): eigenvalues 2 and 3 are 2 and 2") as error:
+    with refused("n", 2, "lane 1 (and of lanes 3)", "2 and 3 are 2 and 2", kind=CutCluster) as error:
         modal_basis(K, M, 2)
     assert error.value.lanes == (1, 3)
     assert isinstance(error.value, InputError)
@@ -157,37 +157,37 @@ def changed(matrix: torch.Tensor, index: tuple[int, ...], value: float) -> torch
 
 
 @pytest.mark.parametrize(
-    ("K", "M", "n", "message"),
+    ("K", "M", "n", "fault"),
     [
-        (changed(K_GOOD, (2, 3), torch.nan), M_GOOD, 2, r"K\[2, 3\] = nan"),
-        (changed(K_GOOD, (1, 4), 9.0), M_GOOD, 2, r"K\[1, 4\] differs by .* from its mirror image"),
-        (K_GOOD, changed(M_GOOD, (0, 5), torch.inf), 2, r"M\[0, 5\] = inf"),
-        (K_GOOD, changed(M_GOOD, (3, 3), -1.0), 2, r"M\[3, 3\] = -1: M is not positive definite"),
-        (K_GOOD, torch.ones(6).double() - 2 * torch.eye(6).double()[4], 2, r"M\[4, 4\] = -1"),
-        (K_GOOD, M_GOOD - 2 * torch.eye(6).double()[:1].T @ torch.ones(1, 6).double() / 2, 2, "differs by"),
+        (changed(K_GOOD, (2, 3), torch.nan), M_GOOD, 2, ("K", ANY, "[2, 3] is nan")),
+        (changed(K_GOOD, (1, 4), 9.0), M_GOOD, 2, ("K", ANY, "[1, 4]")),
+        (K_GOOD, changed(M_GOOD, (0, 5), torch.inf), 2, ("M", ANY, "[0, 5] is inf")),
+        (K_GOOD, changed(M_GOOD, (3, 3), -1.0), 2, ("M", -1.0, "[3, 3]")),
+        (K_GOOD, torch.ones(6).double() - 2 * torch.eye(6).double()[4], 2, ("M", -1.0, "[4, 4]")),
+        (K_GOOD, M_GOOD - 2 * torch.eye(6).double()[:1].T @ torch.ones(1, 6).double() / 2, 2, ("M", ANY, "[0, 1]")),
         (
             K_GOOD,
             torch.ones(6, 6).double() + 1e-3 * torch.diag(torch.tensor([0, 0, -1.0, 0, 0, 0]).double()),
             2,
-            "row 2 moves most",
+            ("M", ANY, "row 2"),
         ),
-        (K_GOOD, M_GOOD, 7, r"n = 7 modes of a problem with 6 freedoms; 1 ... 6"),
-        (K_GOOD, M_GOOD, 0, "n = 0"),
-        (K_GOOD, M_GOOD, 2.0, "n = 2.0"),
-        (K_GOOD, M_GOOD, True, "n = True"),
-        (K_GOOD.tolist(), M_GOOD, 2, "K is a list"),
-        (K_GOOD, None, 2, "M is a NoneType"),
-        (K_GOOD.expand(3, 6, 6), M_GOOD.expand(2, 6, 6), 2, r"K has lanes \(3,\) and M has \(2,\)"),
-        (K_GOOD, changed(torch.ones(6).double(), (3,), 0.0), 2, r"M\[3, 3\] = 0: M is not positive definite"),
-        (K_GOOD[:4], M_GOOD, 2, r"K has shape \(4, 6\)"),
-        (K_GOOD, M_GOOD[:5, :5], 2, r"M has shape \(5, 5\); \[..., 6, 6\] or \[..., 6\]"),
-        (K_GOOD.float(), M_GOOD, 2, "K has dtype torch.float32"),
-        (sparse(K_GOOD), sparse(M_GOOD[:5, :5]), 2, "M has 5 rows; allowed: 6"),
-        (changed(sparse(K_GOOD).dense(), (5, 0), torch.nan), M_GOOD, 2, r"K\[5, 0\]"),
+        (K_GOOD, M_GOOD, 7, ("n", 7)),
+        (K_GOOD, M_GOOD, 0, ("n", 0)),
+        (K_GOOD, M_GOOD, 2.0, ("n", 2.0)),
+        (K_GOOD, M_GOOD, True, ("n", True)),
+        (K_GOOD.tolist(), M_GOOD, 2, ("K", ANY, "list")),
+        (K_GOOD, None, 2, ("M", ANY, "NoneType")),
+        (K_GOOD.expand(3, 6, 6), M_GOOD.expand(2, 6, 6), 2, ("M", ANY, "(3,)", "(2,)")),
+        (K_GOOD, changed(torch.ones(6).double(), (3,), 0.0), 2, ("M", 0.0, "[3, 3]")),
+        (K_GOOD[:4], M_GOOD, 2, ("K", ANY, "(4, 6)")),
+        (K_GOOD, M_GOOD[:5, :5], 2, ("M", ANY, "(5, 5)", "[..., 6, 6] or [..., 6]")),
+        (K_GOOD.float(), M_GOOD, 2, ("K", ANY, "torch.float32")),
+        (sparse(K_GOOD), sparse(M_GOOD[:5, :5]), 2, ("M", ANY, "5 rows")),
+        (changed(sparse(K_GOOD).dense(), (5, 0), torch.nan), M_GOOD, 2, ("K", ANY, "[5, 0]")),
     ],
 )
-def test_bad_input_is_named(K, M, n, message):
-    with pytest.raises(InputError, match=message):
+def test_bad_input_is_named(K, M, n, fault):
+    with refused(*fault):
         modal_basis(K, M, n)
 
 

@@ -9,7 +9,7 @@ import torch
 from torch.func import jvp
 
 import torchmbd as mbd
-from torchmbd.errors import InputError
+from tests.refused import ANY, refused
 from torchmbd.fem.reduction import cut, modal_basis, shared_modes
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.shared_modes import distinct
@@ -104,5 +104,5 @@ def test_an_error_names_a_lane_of_all():
         K = K + torch.arange(float(len(K)))[:, None, None] // 2 * torch.eye(12)  # pairs of lanes are equal
         M = torch.diag_embed(M)
         M[lane, 0, 1] = M[lane, 1, 0] = 100.0
-        with pytest.raises(InputError, match=f"lane {lane}"):
+        with refused("M", ANY, f"lane {lane}"):
             modal_basis(K, M, 2)

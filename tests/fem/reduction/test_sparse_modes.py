@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from torchmbd.errors import InputError
+from tests.refused import ANY, refused
 from torchmbd.fem.reduction.blocks import BlockFactor, BlockRoot, DiagonalRoot, mass_root, storage
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.forms import Diagonal, Sparse
@@ -179,7 +179,7 @@ def test_a_sparse_mass_that_is_not_definite_is_named():
     K_form, K, M_form, M = problem(False, False, "sparse")
     M = M.clone()
     M[1, M_form.pattern.rows != M_form.pattern.cols] *= 3
-    with pytest.raises(InputError, match=r"M of lane 1 is not positive definite: .* row \d+ moves most"):
+    with refused("M", ANY, "lane 1", "row "):
         SparseModes(K_form, M_form, K, M, 4)
 
 

@@ -14,6 +14,7 @@ from scipy.integrate import quad
 from torch import Tensor
 
 import torchmbd as mbd
+from tests.refused import refused
 from torchmbd.integrate import Trajectory
 
 G, AMPLITUDE, SPEED = 9.81, 0.05, 20.0
@@ -115,7 +116,7 @@ def test_a_time_without_a_derivative_is_refused_by_name():
     forward = mbd.simulate(sliding(), 1.2, phases=phases, gradients="forward", **options)
     assert "failed: the function of the event of phase '1' has no rate" in forward.status[0]
     reverse = mbd.simulate(sliding(), 1.2, phases=phases, gradients="reverse", **options)
-    with pytest.raises(mbd.InputError, match="event of phase '1' has no rate where it vanishes"):
+    with refused("phases.1.until"):
         torch.autograd.grad(reverse.switches[0].t.sum(), list(reverse.variables.values()))
     motion = mbd.simulate(sliding(), 1.2, phases=[mbd.Phase(until=never), mbd.Phase()], gradients="forward", **options)
     assert "its event does not occur" in motion.status[0]

@@ -11,7 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import finished
-from tests.refused import refused
+from tests.refused import refused, warned
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
 
@@ -276,5 +276,5 @@ def test_units_are_questioned(numbers):
     """The same body in mm, t, s, N: accepted as a mechanical system, 600 m long."""
     S = scipy.sparse.diags_array(np.tile([10.0**-1.5] * 3 + [10.0**1.5] * 3, 7))
     M, K = (S @ A @ S for A in numbers)
-    with pytest.warns(UserWarning, match="units of body 'arm'. It is 600 m long"):
+    with warned("body 'arm'", "600 m"):
         mbd.FlexibleBody.from_matrices("arm", M, K, 1e3 * NODES, modes=4, reference=0, node_sets=SETS)

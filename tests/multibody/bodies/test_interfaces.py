@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
-from tests.refused import refused
+from tests.refused import ANY, refused
 
 STEEL = mbd.Ply.isotropic(E=2.1e11, nu=0.3, density=7800.0)
 LENGTH, WIDTH, THICKNESS = 0.5, 0.05, 2e-3
@@ -155,10 +155,10 @@ def test_wrong_interfaces_are_refused(interface, path):
 
 
 def test_wrong_options_are_refused():
-    with refused("Interface.rigid", 1):
+    with refused("rigid", 1):
         mbd.Interface("left_edge", rigid=1)
     with refused("weights"):
         mbd.Interface("left_edge", rigid=True, weights=[1.0])
     body = plate()
-    with pytest.raises(mbd.InputError, match="interface is given; allowed: none with reduction 'vibration'"):
+    with refused("plate.interface", ANY, "'vibration'"):
         mbd.FlexibleBody.plate("plate", body.mesh, body.laminate, modes=2, interface=ROOT_AND_TIP)

@@ -11,6 +11,7 @@ import torch
 
 import torchmbd as mbd
 from tests.fem.elements.plate_cases import CARBON, KINDS, grid, moved, rotation, turned
+from tests.refused import warned
 from torchmbd.multibody.bodies.mesh_quality import aspects, corner_angles
 
 STIFF = dataclasses.replace(CARBON, E2=128e5, G12=5e7, G13=5e7, G23=5e7, nu12=0.01)
@@ -63,16 +64,16 @@ def test_the_worst_cell_is_named(mesh, words):
 
 @pytest.mark.parametrize(
     ("change", "ratio"),
-    [({"E2": 128e5, "nu12": 0.01}, "1e\\+04"), ({"G12": 6.4e6}, "2e\\+04"), ({"G13": 1e6}, "1.28e\\+05")],
+    [({"E2": 128e5, "nu12": 0.01}, "1e+04"), ({"G12": 6.4e6}, "2e+04"), ({"G13": 1e6}, "1.28e+05")],
 )
 def test_stiff_fibers_on_few_cells(change, ratio):
     ply = dataclasses.replace(CARBON, **change)
-    with pytest.warns(UserWarning, match=rf"ply 0 has E1 / E2 or E1 / G = {ratio} on 32 cells, where 1500 are few"):
+    with warned("ply 0", f"{ratio} on 32 cells", "1500"):
         body(grid(0.3, 0.1, (8, 4), "quad"), ply)
 
 
 def test_all_faults_are_in_one_warning():
-    with pytest.warns(UserWarning, match=r"skewed.*slender.*E1 / G") as result:
+    with warned("skewed", "slender", "E1 / G") as result:
         body(sheared(20.0, length=20.0), STIFF)
     assert len(result) == 1
 

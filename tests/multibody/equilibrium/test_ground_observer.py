@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from tests.refused import refused
+from tests.refused import ANY, refused
 
 GROUND = mbd.Ground()
 E, G, DENSITY = 211e9, 81.2e9, 7810.0  # of the rotors below
@@ -70,7 +70,7 @@ def test_a_mass_in_unequal_bearings():
     hold = mbd.Bushing(GROUND.at(), body.at(), stiffness=k, turning_stiffness=(0.0, 1e3, 1e3), name="bearing")
     system = mbd.System([body], forces=[hold])
     turning: dict[str, Any] = {"spin": (30.0, 0.0, 0.0), "unstable": True}
-    with pytest.raises(mbd.InputError, match="observer='ground'"):
+    with refused("system", ANY, "observer='ground'"):
         mbd.equilibrium(system, **turning)
     w = 2.0 * math.pi * mbd.equilibrium(system, observer="ground", **turning).vibrations[0].frequencies
     assert w[1:4].tolist() == pytest.approx([math.sqrt(x / 2.0) for x in sorted(k)], rel=1e-10)

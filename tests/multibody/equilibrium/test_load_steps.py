@@ -10,6 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import bend, given, matrix
+from tests.refused import ANY, refused
 
 GROUND = mbd.Ground()
 
@@ -65,7 +66,7 @@ def column(push: float, aside: float) -> mbd.System:
 
 @pytest.mark.thorough
 def test_column():
-    with pytest.raises(mbd.InputError, match=r"the mechanism buckles at 0\.5198 of the loads"):
+    with refused("system", ANY, "buckles at 0.5198"):
         mbd.equilibrium(column(1000.0, 0.0))
     rest = mbd.equilibrium(column(1000.0, 0.1))
     assert rest.stable
@@ -88,7 +89,7 @@ def test_snap_through():
     alone = mbd.ExactBeam("beam", line, section).equilibrium({"end": (0.0, -1e4, 0.0)}, supports=supports)
     factor = alone.status.split(" at ")[1].split()[0]
     wall, push = mbd.Fixed(GROUND.at(), beam.at("start"), name="wall"), mbd.Force(beam.at("end"), (0.0, -1e4, 0.0))
-    with pytest.raises(mbd.InputError, match=f"buckles at {factor}"):
+    with refused("system", ANY, f"buckles at {factor}"):
         mbd.equilibrium(mbd.System([beam], [wall, guide], [push]))
 
 
@@ -127,7 +128,7 @@ def test_drive_that_turns_too_far_at_once():
     hinge = mbd.Revolute(GROUND.at(), beam.at("start"), axis="z", name="hinge")
     drive = mbd.Drive(GROUND.at(), beam.at("start"), axis="z", angle=lambda t: 2.0 * t, name="drive")
     system = mbd.System([beam], [hinge, drive])
-    with pytest.raises(mbd.InputError, match="a drive ends half a turn away"):
+    with refused("system", ANY, "half a turn"):
         mbd.equilibrium(system, times=[0.0, 1.0])
     tip = mbd.equilibrium(system, times=[0.0, 0.5, 1.0]).body("beam").nodes[0, 2, -1]
     expected = torch.tensor([math.cos(2.0), math.sin(2.0), 0.0], dtype=torch.float64)

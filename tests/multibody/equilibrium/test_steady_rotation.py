@@ -14,7 +14,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import given, matrix
 from tests.fem.exact_beam.test_vibrations import INCH, blade
-from tests.refused import refused
+from tests.refused import ANY, refused, warned
 from torchmbd.multibody.equilibrium.linearized import Linearization
 from torchmbd.multibody.equilibrium.steady_rotation import SteadyRotation
 
@@ -141,7 +141,7 @@ def test_a_floating_frame_needs_stiffening(stiffening):
         w = 2.0 * math.pi * mbd.equilibrium(system, spin=(0.0, 0.0, 12.0)).vibrations[0].frequencies[:2]
         assert w.tolist() == pytest.approx([math.sqrt(13.1702**2 - 12.0**2), 13.1702], rel=5e-3)
     else:
-        with pytest.warns(UserWarning, match="body 'rotor' turns at .* of its first frequency: centrifugal stiffening"):
+        with warned("body 'rotor'", "centrifugal stiffening"):
             mbd.equilibrium(system, spin=(0.0, 0.0, 12.0))
 
 
@@ -199,7 +199,7 @@ def test_derivatives():
 def test_refusals():
     system, speed = bent()
     for spin in ((0.0, 0.0, 0.5 * speed), (0.0, speed, 0.0)):  # the motor turns faster; gravity lies across
-        with pytest.raises(mbd.InputError, match=r"no (steady rotation|static equilibrium)"):
+        with refused("system"):
             mbd.equilibrium(system, spin=spin)
     with refused("spin", (0.0, 1.0)):
         mbd.equilibrium(system, spin=(0.0, 1.0))
@@ -213,7 +213,7 @@ def test_a_spring_beside_the_axis_is_no_steady_rotation():
     bar = mbd.RigidBody("bar", 2.0, (0.1, 0.1, 0.1), position=(0.3, 0.0, 0.0))
     joints.append(mbd.Revolute(own.at(), bar.at(-0.3, 0, 0), axis="y", name="root"))
     hold = mbd.Bushing(GROUND.at(0.3, 0, 0), bar.at(), (10.0, 10.0, 10.0), name="hold")
-    with pytest.raises(mbd.InputError, match="no steady rotation: joints or forces are others after a turn"):
+    with refused("system", ANY, "after a turn"):
         mbd.equilibrium(mbd.System([own, bar], joints, forces=[hold]), spin=(0.0, 0.0, SPEED))
 
 
@@ -285,5 +285,5 @@ def test_a_point_that_meets_a_plane_at_some_angle_is_no_steady_rotation():
         bearing(tilt=0.0),
         lambda rotor: mbd.PlaneContact(GROUND.at(0, 0, -0.09), rotor.at(0, 0, 0.1), stiffness=1e3),
     )
-    with pytest.raises(mbd.InputError, match="no steady rotation: joints or forces are others after a turn by 3 rad"):
+    with refused("system", ANY, "3 rad"):
         mbd.equilibrium(tip, spin=SPIN, unstable=True)

@@ -198,7 +198,7 @@ def test_both_backends_agree():
         (lambda a, b: mbd.PlaneContact(a, b, friction=0.1, speed=0.0), "planecontact_ground_box.speed"),
         (lambda a, b: mbd.PlaneContact(a, b, radius=float("nan")), "planecontact_ground_box.radius"),
         (lambda a, b: mbd.PlaneContact(a, b, normal="w"), "axis"),
-        (lambda a, b: mbd.PlaneContact(a, a), "frames"),
+        (lambda a, b: mbd.PlaneContact(a, a), "b"),
         (lambda a, b: mbd.AxialStop(a, b, upper="far"), "axialstop_ground_box.upper"),
     ],
 )

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
+from tests.refused import warned
 
 GROUND = mbd.Ground()
 SECTION = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9)
@@ -50,7 +51,7 @@ def test_a_joint_that_the_design_moves_strains_no_beam(x):
 def test_a_beam_that_turns_far_stays_straight():
     """Put across its joints: both ends go where they belong, by a finite rotation."""
     system = boom(mbd.PointOnPlane, place=0.3)
-    with pytest.warns(UserWarning, match="open where the bodies were put"):
+    with warned("open"):
         motion = mbd.simulate(system, 1e-3, steps=4, gradients="none")
     assert float(motion.body("boom").strain_energy[0, 0]) < 1e-12
 
@@ -79,6 +80,6 @@ def test_derivatives_of_the_start_are_those_of_rigid_motions():
 def test_what_strains_a_beam_is_told():
     """Between two pins 3 mm too far apart: E A d^2 / (2 L) if it stretches alone."""
     system = boom(mbd.Spherical)
-    with pytest.warns(UserWarning, match=r"closing the joints strains exact beams: .* J of strain energy"):
+    with warned("exact beams", " J "):
         motion = mbd.simulate(system, 1e-4, steps=2, designs=moved(system, -3e-3), gradients="none")
     assert float(motion.body("boom").strain_energy[0, 0]) > 0.5 * 70e9 * 1e-4 * 3e-3**2 / 1.0

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.fem.elements import Assembly, Beams, GivenElements
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.statics import VibrationCase
@@ -154,7 +154,7 @@ def test_rigid_motions_of_a_free_body_are_left_out(cells):
 @pytest.mark.parametrize("supports", [{"left_edge": "u3"}, {0: "u1 u2 u3"}, {"left_edge": "u1 u2 phi1 phi2 phi3"}])
 @pytest.mark.parametrize("cells", [(2, 2), (12, 8)])
 def test_a_movable_body_is_refused(supports, cells):
-    with pytest.raises(mbd.InputError, match="supports of 'panel' leave it movable: a frequency is zero"):
+    with refused("panel.supports", ANY, "a frequency is zero"):
         mbd.frequencies(panel(cells), supports)
 
 
@@ -167,7 +167,7 @@ def test_the_node_of_a_zero_frequency_is_that_of_the_design_that_has_it():
     limp = stiffness.clone()
     limp[3, 3] *= 1e-15
     f, _ = of_parameter(Frequencies(mbd.FlexibleBody("rod", line, parts, 2, reference=0), None, 1), "body.inner.matrix")
-    with pytest.raises(mbd.InputError, match=r"frequency of lane 1 is zero, .* node . moves most, about x"):
+    with refused("rod.supports", ANY, "lane 1 is zero", "about x"):
         f(torch.stack([stiffness, limp]))
 
 

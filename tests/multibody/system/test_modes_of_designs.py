@@ -174,7 +174,7 @@ def test_a_ring_of_equal_spokes_says_how_many_modes_it_needs():
     elements = [pair for k in range(8) for pair in ((0, 1 + 2 * k), (1 + 2 * k, 2 + 2 * k))]
     spoke = mbd.GivenSection.isotropic(210e9, 0.3, 7850.0, 1e-4, 8e-10, 8e-10, 1.4e-9)
     line = mbd.BeamLine(nodes.double(), torch.tensor(elements), {"hub": [0]})
-    with pytest.raises(mbd.InputError, match=r"reduction of 'ring'.*modes = 2: must not divide .* Try: modes = 16"):
+    with refused("ring.modes", 2, "modes = 16"):
         mbd.FlexibleBody.beam("ring", line, spoke, modes=2, reference="hub", orientation=(0.0, 0.0, 1.0))
     ring = mbd.FlexibleBody.beam("ring", line, spoke, modes=16, reference="hub", orientation=(0.0, 0.0, 1.0))
     assert ring.modes == 16

@@ -13,8 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, SOFT, laminate, pendulum, plate
-from tests.refused import refused
-from torchmbd.errors import InputError
+from tests.refused import ANY, refused
 
 ANGLES, STIFFNESS = "rod.laminate.angles", "spring.stiffness"
 END = 0.002
@@ -141,13 +140,9 @@ def test_what_it_computes_in():
         f(0.0, y0.float())
     with refused("z"):
         f(0.0, y0.to("meta"))
-    with pytest.raises(
-        InputError, match=r"^the system was moved to torch.float32 on cpu; allowed: torch.float64 on cpu$"
-    ):
+    with refused("system", ANY, "torch.float32 on cpu", "torch.float64 on cpu"):
         torchdiffeq.odeint(copy.deepcopy(f).float(), y0, TIMES)
-    with pytest.raises(
-        InputError, match=r"^the system was moved to torch.float64 on meta; allowed: torch.float64 on cpu$"
-    ):
+    with refused("system", ANY, "torch.float64 on meta", "torch.float64 on cpu"):
         copy.deepcopy(f).to("meta").initial_state()
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 from types import SimpleNamespace
 
-import pytest
 from rich.console import Console
 
 from tests.multibody.start.test_closing import crane
 from tests.multibody.start.test_initial import four_bar
+from tests.refused import warned
 from torchmbd.study.estimate import _print_assembly
 
 
@@ -20,7 +20,7 @@ def said(system: object) -> str:
 
 
 def test_joints_bodies_and_distances_are_listed():
-    with pytest.warns(UserWarning, match="open where"):
+    with warned("open"):
         text = said(crane(gap=0.2))
     assert "warning: open where the bodies were put: joint 'grip' by 0.2 m" in text
     assert "warning: to close the joints the start moves 'tool' by 0.2 m" in text

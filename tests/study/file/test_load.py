@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import torchmbd as mbd
+from tests.refused import warned
 from torchmbd.study.file.faults import StudyError
 from torchmbd.study.file.load import load_study as load
 from torchmbd.study.file.model import find_function
@@ -258,7 +259,7 @@ def test_degrees_that_are_said_to_be_radians_are_named(write, unit):
 
 
 def test_millimeters_that_are_said_to_be_meters_are_doubted(write):
-    with pytest.warns(UserWarning, match=r"units of upper bound of rod.laminate.thickness\? It is 3 m"):
+    with warned("rod.laminate.thickness", "3 m"):
         load(write(design={"rod.laminate.thickness": {"lower": 1e-3, "upper": 3, "unit": "m"}}))
 
 

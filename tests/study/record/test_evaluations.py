@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from tests.refused import warned
 from torchmbd.errors import MbdError
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.cache import CachedProblem
@@ -81,7 +82,7 @@ def test_an_altered_row_is_reported_and_evaluated_again(tmp_path, column, value)
         store._base.execute(change, (value(old), X[1].tobytes()))
     again = Evaluations(tmp_path / "e.db", "q" if column == "problem" else "p")
     asked = X[2:] if column == "design" else X[1:2]
-    with pytest.warns(UserWarning, match=r"e\.db was altered after it was written: it is not used, and made again"):
+    with warned("e.db", "altered"):
         assert again.find(asked, True) == [None]
     again.keep(asked, True, computed(asked, True))
     with warnings.catch_warnings():
@@ -98,7 +99,7 @@ def test_an_altered_row_is_in_no_picture(tmp_path):
     assert {tuple(x): y for x, y in zip(designs, values, strict=True)} == {tuple(x): x @ x / 3 for x in X}
     with store._base:
         store._base.execute("update evaluations set status = 'failed' where design = ?", (X[0].tobytes(),))
-    with pytest.warns(UserWarning, match="was altered"):
+    with warned("altered"):
         assert len(store.visited(2)[0]) == 2
 
 

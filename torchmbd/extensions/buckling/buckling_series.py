@@ -53,8 +53,8 @@ class BucklingSeries:
             raise InputError(
                 "supports",
                 supports,
-                rule="are displaced; allowed along a motion: supports at rest",
-                shown="",
+                allowed="supports at rest along a motion",
+                state="are displaced",
                 noun=f"supports of {body.name!r}",
             )
         self._static = StaticLoads(self.supported.pattern)
@@ -76,7 +76,7 @@ class BucklingSeries:
         supported, lanes = self.supported, len(c)
         if number > supported.pattern.size:
             raise InputError(
-                "number", number, f"1 to {supported.pattern.size}, the free freedoms of {supported.name!r}"
+                "number", number, f"1 to {supported.pattern.size}, the free degrees of freedom of {supported.name!r}"
             )
         finite = torch.isfinite(c.detach()).all(-1, keepdim=True)
         c = torch.where(finite, c, 0.0)

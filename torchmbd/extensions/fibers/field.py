@@ -84,7 +84,7 @@ class FiberField:
         else:
             if axes is not None:
                 raise InputError(
-                    "axes", axes, "None, it has no axes", state=f"is {axes!r} of a FiberField with a radius"
+                    "axes", axes, "None, because it has no axes", state=f"is {axes!r} of a FiberField with a radius"
                 )
             W, slopes = _radial(places, _points(controls, places), _radius(radius))
         self.controls = W.shape[1]
@@ -128,7 +128,7 @@ class FiberField:
 def _cells(mesh: Mesh, cells: Sequence[int] | Tensor | None) -> Tensor:
     if cells is None:
         return torch.arange(mesh.cell_count)
-    numbers = indices(("FiberField", "cells"), cells)
+    numbers = indices("cells", cells)
     if numbers.ndim != 1 or not len(numbers) or int(numbers.min()) < 0 or int(numbers.max()) >= mesh.cell_count:
         raise InputError("cells", cells, f"numbers of cells, 0 to {mesh.cell_count - 1}", noun="cells of a FiberField")
     if len(numbers.unique()) < len(numbers):
@@ -189,11 +189,12 @@ def _points(controls: object, places: Tensor) -> Tensor:
         if controls != "cells":
             raise InputError("controls", controls, "'cells', or places [k, 3]", noun="controls of a FiberField")
         return places
-    points = reals(("FiberField", "controls"), controls)  # pyright: ignore[reportArgumentType]
+    points = reals("controls", controls)  # pyright: ignore[reportArgumentType]
     if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not points.isfinite().all():
         raise InputError(
             "controls",
-            rule=f"has shape {tuple(points.shape)}; allowed with a radius: places [k, 3], or 'cells'",
+            allowed="places [k, 3], or 'cells', with a radius",
+            state=f"has shape {tuple(points.shape)}",
             noun="controls of a FiberField",
         )
     return points

@@ -103,8 +103,8 @@ def steered_parts(system: System, name: str) -> list[Any]:
         raise InputError(
             "body",
             name,
-            rule="has no steered laminate; allowed here: a plate of mbd.SteeredLaminate(...)",
-            shown="",
+            allowed="a plate of mbd.SteeredLaminate(...)",
+            state="has no steered laminate",
             noun=f"body {name!r}",
         )
     return parts

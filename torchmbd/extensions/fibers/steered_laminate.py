@@ -86,8 +86,8 @@ class SteeredLaminate(Laminate):
                 state="is a Parameter without an axis of controls",
             )
         theta, t = (
-            parameter(("SteeredLaminate", "angles"), angles),
-            parameter(("SteeredLaminate", "thickness"), thickness),
+            parameter("angles", angles),
+            parameter("thickness", thickness),
         )
         varies = t.ndim == 2
         super().__init__(

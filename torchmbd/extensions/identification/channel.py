@@ -70,9 +70,9 @@ class Channel:
         for name in SENSOR:
             x = getattr(self, name)
             if not is_variable(x):
-                scalar(("Channel", name), x, "a finite number, or mbd.variable(...) of one")
+                scalar(name, x, "a finite number, or mbd.variable(...) of one")
         if self.deviation is not None:
-            object.__setattr__(self, "deviation", checked_deviation(("Channel", "deviation"), self.deviation))
+            object.__setattr__(self, "deviation", checked_deviation("deviation", self.deviation))
 
     @property
     def unknowns(self) -> dict[str, nn.Parameter]:

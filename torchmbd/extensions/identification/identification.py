@@ -134,7 +134,12 @@ class Identification(Summary):
         """Derivatives of the residuals at the solution [rows, n]; InputError where there is none."""
         jacobian = self.fit.residuals.jacobian
         if jacobian is None:
-            raise InputError(f"there is no Jacobian: {self.status}, {self.message}")
+            raise InputError(
+                "result",
+                self.status,
+                "a fit whose start can be simulated",
+                state=f"has no Jacobian: {self.status}, {self.message}",
+            )
         return jacobian
 
     @property
@@ -321,7 +326,9 @@ class Identification(Summary):
                 for name in experiments
             }
         if len(groups) == 1:
-            raise InputError("there is one channel alone; allowed: two at least, of which one may be left out")
+            raise InputError(
+                "experiments", list(groups), "two channels at least, of which one is left out", state="has one channel"
+            )
         searched, r, result = self.searched, self.residuals, {}
         size = self.size[searched]
         J = self._jacobian[:, searched] * size

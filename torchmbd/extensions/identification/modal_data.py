@@ -91,7 +91,7 @@ class ModalData(Measurement):
     ):
         self.frequencies = _positive("frequencies", frequencies, " [Hz]")
         if (np.diff(self.frequencies) < 0.0).any():
-            raise InputError("frequencies", frequencies, "in ascending order [Hz]")
+            raise InputError("frequencies", frequencies, "numbers in ascending order [Hz]")
         count = len(self.frequencies)
         self.damping = np.full(count, np.nan) if damping is None else _numbers(damping)
         if self.damping.shape != (count,) or (self.damping <= 0.0).any() or np.isinf(self.damping).any():
@@ -119,7 +119,10 @@ class ModalData(Measurement):
             np.isfinite(self.shapes).all() and (np.abs(self.shapes).max(0) > 0.0).all()
         ):
             raise InputError(
-                "shapes", shapes, "finite numbers, one that is not zero", state="have a mode that is zero or no number"
+                "shapes",
+                shapes,
+                "finite numbers, one at least that is not zero",
+                state="have a mode that is zero or is not finite",
             )
         numbers: Any = list(range(1, count + 1)) if modes is None else modes
         self.numbers: list[int] = list(numbers) if isinstance(numbers, (list, tuple, range)) else []
@@ -228,7 +231,12 @@ class ModalData(Measurement):
         """Numbers of the vibrations of the model that are not rigid motions, from 0."""
         f = rest.vibrations[lane].frequencies
         if bool(f.isnan().any()):
-            raise DesignFailure("vibrations about the equilibrium grow, so that its modes are no frequencies")
+            raise DesignFailure(
+                "system",
+                allowed="a stable equilibrium",
+                noun="vibrations about the equilibrium",
+                state="grow, so that they do not have frequencies",
+            )
         largest = float(torch.nan_to_num(f).max()) if len(f) else 0.0
         return [k for k, x in enumerate(f.tolist()) if x > _ZERO * largest]
 
@@ -287,8 +295,10 @@ def _poles_of(s: Tensor, natural: Tensor, modes: Tensor) -> Tensor:
         for k, mode in enumerate(modes[:, lane].tolist()):
             if mode not in pole:
                 raise DesignFailure(
-                    f"mode {mode + 1} of the model, {float(w[mode]) / (2.0 * math.pi):.4g} Hz, does not oscillate: its "
-                    "poles are real; allowed: less damping"
+                    "damping",
+                    allowed="less damping",
+                    noun=f"mode {mode + 1} of the model, {float(w[mode]) / (2.0 * math.pi):.4g} Hz,",
+                    state="does not oscillate: its poles are real",
                 )
             result[k, lane] = pole[mode]
     return result

@@ -252,7 +252,7 @@ class _Maker:
                 first = _DEFAULTS[key] if isinstance(written, str) else factor * written
                 numbers[key] = self._sensor(label, key, first, si)
             elif isinstance(written, str):
-                text = f"= {written!r}: is no unknown{nearest(written, self.unknowns)}"
+                text = f"= {written!r}: is not an unknown{nearest(written, self.unknowns)}"
                 self.faults.append(Fault((*path, key), text))
                 return None
             else:

@@ -151,9 +151,9 @@ def _load(table: Table, column: str) -> np.ndarray:
 def _check_channel(name: str, channel: Channel, present: np.ndarray) -> None:
     path, noun = ("channels", name), f"channel {name!r}"
     if isinstance(channel.delay, nn.Parameter) or channel.delay:
-        raise InputError(path, rule="of a static curve has a delay; allowed: gain and offset", noun=noun)
+        raise InputError(path, allowed="gain and offset", state="of a static curve has a delay", noun=noun)
     if not present.any():
-        raise InputError(path, rule="has gaps alone; allowed: one number at least", noun=noun)
+        raise InputError(path, allowed="one number at least", state="has gaps alone", noun=noun)
     if isinstance(channel.deviation, np.ndarray) and len(channel.deviation) != len(present):
         rule = f"has {len(channel.deviation)} values; allowed: {len(present)}"
         raise InputError((*path, "deviation"), channel.deviation, rule=rule, noun=f"deviation of {noun}", shown="")

@@ -98,7 +98,7 @@ def line_of(file: Path, index: int) -> int:
         for count, _ in enumerate(row for row in rows if row):
             if count == index:
                 return rows.line_num
-    raise InputError(f"row {index} of {file} does not exist")
+    raise InputError("index", index, f"a row of {file}")
 
 
 def _headings(texts: Sequence[str]) -> dict[str, str | None]:
@@ -124,18 +124,23 @@ def _read(file: Path, names: Sequence[str]) -> Table:
         raise InputError("data", str(file), "a CSV file", shown=f"{str(file)!r}: {error}") from error
     headings = _headings(texts)
     if len(headings) < len(texts):
-        raise InputError("headings", texts, "each name once", state=f"are {texts}", noun=f"{file}, line 1: headings")
+        raise InputError(
+            "headings", texts, "each name once", state=f"are {texts}", noun=f"{file.name}, line 1: headings"
+        )
     for name in names:
         if name not in headings:
-            raise unknown(f"{file}: column", name, headings, ("columns", name))
+            raise unknown(f"{file.name}: column", name, headings, ("columns", name))
     places = [list(headings).index(name) for name in names]
     options: dict[str, Any] = {"sep": separator, "usecols": places, "skipinitialspace": True, "encoding": "utf-8-sig"}
     try:
         frame = pd.read_csv(file, dtype=np.float64, keep_default_na=False, na_values=list(GAPS), **options)
     except pd.errors.EmptyDataError:
-        raise InputError(str(file), allowed="a line of names, and a line for each time", state="is empty") from None
+        raise InputError(file.name, allowed="a line of names, and a line for each time", state="is empty") from None
     except ValueError as error:
-        raise (_fault(file, separator, texts, places) or InputError(f"{file}: {error}")) from error
+        raise (
+            _fault(file, separator, texts, places)
+            or InputError("data", str(file), "a CSV file of numbers", noun=f"{file.name}:", state=f"{error}")
+        ) from error
     if not _is_regular(file, separator, len(texts)) and (fault := _fault(file, separator, texts, places)):
         raise fault
     # By place: pandas has other names where spaces follow separators.
@@ -170,11 +175,13 @@ def _fault(file: Path, separator: str, texts: Sequence[str], places: Sequence[in
         for row in rows:
             if row and len(row) != len(texts):
                 more = " (an empty field is a gap)" if len(row) < len(texts) else ""
-                return wrong_entry(f"{file}, line {rows.line_num}", f"has {len(row)} fields", f"{len(texts)}{more}")
+                return wrong_entry(
+                    f"{file.name}, line {rows.line_num}", f"has {len(row)} fields", f"{len(texts)}{more}"
+                )
             for place in places:
                 if row and not _is_number(row[place].strip()):
                     name = list(_headings(texts))[place]
-                    noun = f"{file}, line {rows.line_num}: column {texts[place]!r}"
+                    noun = f"{file.name}, line {rows.line_num}: column {texts[place]!r}"
                     allowed = "a number, or an empty field for a gap"
                     return InputError(("columns", name), row[place], allowed, noun=noun)
     return None

@@ -202,7 +202,7 @@ def _check(
         raise InputError(
             "plies",
             dict(plies),
-            rule=f"is {dict(plies)!r}; allowed for symmetric stacks: all even, or all odd",
-            shown="",
+            allowed="all even, or all odd for symmetric stacks",
+            state=f"is {dict(plies)!r}",
         )
     return symmetric.pop(), dict(weight_of_zone)

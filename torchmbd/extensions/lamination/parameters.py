@@ -34,10 +34,6 @@ from torchmbd.math.checked_numbers import is_real, parameter
 from torchmbd.math.plausible_units import THICKNESS, warn_unusual
 from torchmbd.math.variable import varies
 
-_UNKNOWN = (
-    "is given by lamination parameters, its plies are not known; allowed: a Laminate, such as recover_stacks finds"
-)
-
 
 class LaminationParameters(Laminate):
     """A laminate of one ply by lamination parameters; `.membrane`, `.coupling`, `.bending` [4] and `.thickness` vary.
@@ -85,7 +81,7 @@ class LaminationParameters(Laminate):
             raise InputError(
                 "ply",
                 ply,
-                "0: these have no plies that differ",
+                "0, because lamination parameters do not contain the plies",
                 noun="ply of LaminationParameters",
                 state=f"has the loss factor {ply.loss!r}",
             )
@@ -99,7 +95,7 @@ class LaminationParameters(Laminate):
                 noun="LaminationParameters: shear_correction",
                 state=f"= {shear_correction!r}",
             )
-        checked = true_or_false(("LaminationParameters", "checked"), checked)
+        checked = true_or_false("checked", checked)
         self.ply, self.field, self.shear_correction = ply, field, float(shear_correction)
         self.membrane = _four("membrane", membrane, field)
         self.bending = None if bending is None else _four("bending", bending, field)
@@ -122,7 +118,10 @@ class LaminationParameters(Laminate):
                     if reason:
                         place = "" if self.field is None else f" of control {k}"
                         raise InputError(
-                            f"LaminationParameters{place}: {reason}; allowed: lamination parameters of a stack of plies"
+                            ("membrane", k) if place else "membrane",
+                            allowed="lamination parameters of a stack of plies",
+                            noun=f"LaminationParameters{place}:",
+                            state=reason,
                         )
             X = self.stiffness()
             ABD = torch.cat([torch.cat([X.A, X.B], -1), torch.cat([X.B, X.D], -1)], -2)
@@ -221,18 +220,23 @@ class LaminationParameters(Laminate):
 
     @property
     def layer_angles(self) -> Tensor:
-        raise InputError(f"a laminate {_UNKNOWN}")
+        raise _without_plies(self)
 
     @property
     def layer_thickness(self) -> Tensor:
-        raise InputError(f"a laminate {_UNKNOWN}")
+        raise _without_plies(self)
 
     def extra_repr(self) -> str:
         return ", ".join(f"{name}={x.tolist()}" for name, x in self.named_parameters() if x.numel() <= 4)
 
 
+def _without_plies(laminate: LaminationParameters) -> InputError:
+    state = "is given by lamination parameters, and its plies are not known"
+    return InputError("laminate", laminate, "a Laminate, such as recover_stacks finds", noun="a laminate", state=state)
+
+
 def _four(name: str, values: Sequence | Tensor, field: FiberField | None) -> nn.Parameter:
-    x = parameter(("LaminationParameters", name), values)
+    x = parameter(name, values)
     if field is not None and x.shape == (4,) and not isinstance(values, nn.Parameter):
         x = nn.Parameter(x.detach().expand(field.controls, 4).clone())
     shape = (4,) if field is None else (field.controls, 4)
@@ -243,7 +247,7 @@ def _four(name: str, values: Sequence | Tensor, field: FiberField | None) -> nn.
 
 
 def _thickness(thickness: float | Tensor, field: FiberField | None) -> nn.Parameter:
-    h = parameter(("LaminationParameters", "thickness"), thickness)
+    h = parameter("thickness", thickness)
     if h is not thickness and h.ndim == 0:
         h = nn.Parameter(h.detach(), requires_grad=False)
     if h.ndim and (field is None or h.shape != (field.controls,)):

@@ -48,8 +48,8 @@ class LaminationRules:
     tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
-        true_or_false(("LaminationRules", "symmetric"), self.symmetric)
-        true_or_false(("LaminationRules", "balanced"), self.balanced)
+        true_or_false("symmetric", self.symmetric)
+        true_or_false("balanced", self.balanced)
         if self.max_step is not None and not (is_real(self.max_step) and 0.0 <= self.max_step <= 90.0):
             raise InputError("max_step", self.max_step, "0 to 90 degrees, or None")
         if not (is_real(self.min_share) and 0.0 <= self.min_share <= 0.25):

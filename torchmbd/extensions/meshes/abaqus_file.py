@@ -62,7 +62,12 @@ class AbaqusFile:
         """InputError for lines that are trusses; those of a file without their section are named edges."""
         lines = sum(cells.type == "line" for cells in source.cells)
         if lines and (self.sections or lines > self.trusses):
-            raise InputError("it has beams, rods or masses; allowed: triangle, quad, and named edges without a section")
+            raise InputError(
+                "elements",
+                allowed="triangle, quad, and named edges without a section",
+                noun="the file",
+                state="has beams, rods or masses",
+            )
 
     def correct_zones(self, source: Any) -> None:
         """Give meshio's sets of cells the members that the ELSETs of *ELEMENT have."""
@@ -93,9 +98,11 @@ class AbaqusFile:
                     continue
                 if not line.startswith("*"):
                     if instance:
-                        moved = f"{instance}: *INSTANCE is moved"
-                        raise InputError(
-                            f"{moved}; allowed: one instance, which is not moved or rotated relative to its part"
+                        raise wrong_entry(
+                            instance,
+                            "*INSTANCE is moved",
+                            "one instance, which is not moved or rotated relative to its part",
+                            key="INSTANCE",
                         )
                     continue
                 keyword = " ".join(line.partition(",")[0].strip("* \n").upper().split())
@@ -116,8 +123,9 @@ class AbaqusFile:
                     has_nodes |= self._read(_included(path, line, where), (*opened, path))
                 elif keyword == "NODE":
                     if has_nodes:
-                        twice = f"{where}: *NODE appears twice, or below *INCLUDE with nodes"
-                        raise InputError(f"{twice}; allowed: once, above it")
+                        raise wrong_entry(
+                            where, "*NODE appears twice, or below *INCLUDE with nodes", "once, above it", key="NODE"
+                        )
                     has_nodes = True
         return has_nodes
 

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchmbd.errors import InputError, within
+from torchmbd.errors import InputError, not_installed, within
 from torchmbd.extensions.meshes.abaqus_file import AbaqusFile
 from torchmbd.extensions.meshes.nastran_file import check_counts, check_nastran, is_nastran
 from torchmbd.fem.mesh.mesh import Mesh
@@ -48,7 +48,9 @@ def mesh_file(path: str | Path, scale: float | str = 1.0) -> MeshFile:
     try:
         import meshio  # pyright: ignore[reportMissingImports] (optional)
     except ImportError as error:
-        raise InputError("reading mesh files needs the package meshio: pip install 'torchmbd[mesh]'") from error
+        raise not_installed(
+            "path", str(path), "the reader of mesh files", "meshio", "pip install 'torchmbd[mesh]'"
+        ) from error
     if not isinstance(path, (str, Path)) or not Path(path).is_file():
         raise InputError("path", str(path), "a mesh file that exists")
     scale = meters("scale", scale)
@@ -62,11 +64,11 @@ def mesh_file(path: str | Path, scale: float | str = 1.0) -> MeshFile:
             source = meshio.read(path)
     except SystemExit as error:  # meshio prints the reason and leaves the interpreter
         reason = " ".join(printed.getvalue().split())
-        raise InputError(f"{path.name}: meshio cannot read it: {reason}") from error
+        raise _unread(path, reason) from error
     except (
         Exception
     ) as error:  # thirty readers, whose errors on spoilt files are of any kind: IndexError, struct.error, ...
-        raise InputError(f"{path.name}: meshio cannot read it: {type(error).__name__} {error}") from error
+        raise _unread(path, f"{type(error).__name__} {error}") from error
     try:
         if is_nastran(path):
             check_counts(path, source)
@@ -76,6 +78,11 @@ def mesh_file(path: str | Path, scale: float | str = 1.0) -> MeshFile:
         return mesh_of(source, scale)
     except InputError as error:
         raise within(path.name, error) from None
+
+
+def _unread(path: Path, reason: str) -> InputError:
+    state = f"meshio cannot read it: {reason}"
+    return InputError("path", str(path), "a whole file in a format of meshio", noun=f"{path.name}:", state=state)
 
 
 @constant_arguments

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmbd.errors import InputError
+from torchmbd.extensions.nastran.card import Card
 from torchmbd.extensions.nastran.cards import read_cards
 from torchmbd.extensions.nastran.inert import is_inert
 
@@ -27,16 +28,16 @@ def check_nastran(path: Path) -> None:
     """InputError where meshio would lose the place of a node, an offset, an element, a mass or a tie."""
     for card in read_cards(path):
         if card.name == "GRID" and card.integer(2, "CP", 0):
-            raise _refusal(f"{card}: CP = {card.text(2)}: must be 0, because meshio ignores coordinate systems")
+            raise _refusal(card, "must be 0, because meshio ignores coordinate systems", "CP", card.text(2))
         if card.name == "GRDSET" and any(card.fields):
-            raise _refusal(f"{card}: defaults of GRID must be absent, because meshio ignores them")
+            raise _refusal(card, "must be absent, because meshio ignores defaults of GRID")
         if card.name in _SHELLS and card.real(_SHELLS[card.name], "ZOFFS", 0.0):
-            raise _refusal(f"{card}: ZOFFS must be 0, because meshio ignores offsets")
+            raise _refusal(card, "must be 0, because meshio ignores offsets", "ZOFFS", card.text(_SHELLS[card.name]))
         if card.name in _SHELLS and (theta := card.text(_SHELLS[card.name] - 1)):
-            raise _refusal(f"{card}: THETA = {theta}: must be blank, because meshio takes it for a node")
+            raise _refusal(card, "must be blank, because meshio takes it for a node", "THETA", theta)
         known = ("GRID", "GRDSET", *_SHELLS, *_SECTIONS, *_SUPPORTS)
         if card.name not in known and not is_inert(card.name):
-            raise _refusal(f"{card}: meshio loses this card or a part of it, and the structure may be another")
+            raise _refusal(card, "must be absent, because meshio loses it or a part of it")
 
 
 def check_counts(path: Path, source: Any) -> None:
@@ -45,12 +46,19 @@ def check_counts(path: Path, source: Any) -> None:
     expected = sum(c.name == "GRID" for c in cards), sum(c.name in _SHELLS for c in cards)
     result = len(source.points), sum(len(block.data) for block in source.cells)
     if result != expected:
-        counts = f"meshio reads {result[0]} nodes and {result[1]} cells; the file has {expected[0]} and {expected[1]}"
-        raise _refusal(f"{counts}, with what it includes")
+        raise InputError(
+            "path",
+            str(path),
+            f"{expected[0]} and {expected[1]}, as in the file and in what it includes",
+            hint=_REMEDY,
+            noun="meshio",
+            state=f"reads {result[0]} nodes and {result[1]} cells",
+        )
 
 
-def _refusal(fault: str) -> InputError:
-    return InputError(f"{fault}. Try: {_REMEDY}")
+def _refusal(card: Card, rule: str, field: str = "", text: str = "") -> InputError:
+    path = (str(card), field) if field else (str(card),)
+    return InputError(path, text, rule=rule, hint=_REMEDY, noun=f"{card}: {field}" if field else f"{card}:", shown=text)
 
 
 def is_nastran(path: Path) -> bool:

@@ -44,7 +44,10 @@ def zone_parts(
     if len(wrong):
         k = int(wrong[0])
         raise InputError(
-            f"{mesh.cell_name(k)} and {len(wrong) - 1} others lie in {int(count[k])} of the zones "
-            f"{', '.join(laminate)}; allowed: one zone for each cell (the mesh has {', '.join(zones)})"
+            "laminate",
+            list(laminate),
+            f"one zone for each cell (the mesh has {', '.join(zones)})",
+            noun=f"{mesh.cell_name(k)} and {len(wrong) - 1} others",
+            state=f"lie in {int(count[k])} of the zones {', '.join(laminate)}",
         )
     return parts

@@ -182,9 +182,9 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
     if partly:
         first = next(entry for entry in data.supports if partly[0] in entry.grids)
         warn(
-            f"supports of single freedoms are left out ({len(partly)} grids, the first is {partly[0]}, components "
+            f"supports of single degrees of freedom are left out ({len(partly)} grids, the first is {partly[0]}, components "
             f"{''.join(sorted(components[partly[0]]))} by {first.card}): the body moves there as if they were not in the file; "
-            "hold it by joints of the system, or hold all six freedoms, which makes a reference"
+            "hold it by joints of the system, or hold all six degrees of freedom, which makes a reference"
         )
     return held or None
 

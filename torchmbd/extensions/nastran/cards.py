@@ -167,7 +167,9 @@ class _Files:
                 self.lines += 1
                 where = f"{file.name}, line {number}"
                 if self.lines > LINES or len(raw) >= WIDEST:
-                    raise InputError(f"{where}: allowed: {LINES} lines of at most {WIDEST} characters")
+                    raise wrong_entry(
+                        where, "the file or the line is too long", f"{LINES} lines of at most {WIDEST} characters"
+                    )
                 line = raw.partition("$")[0].strip()
                 if not line.upper().startswith("INCLUDE"):
                     yield where, raw

@@ -234,7 +234,7 @@ class BulkData:
             if not self.weight_to_mass > 0.0:
                 raise InputError((str(card), "WTMASS"), card.text(2), "above 0", noun=f"{card}: WTMASS")
         elif name == "K6ROT":
-            self.ignored["PARAM K6ROT, as drilling freedoms have the stiffness of the membrane"] += 1
+            self.ignored["PARAM K6ROT, as drilling degrees of freedom have the stiffness of the membrane"] += 1
         elif name in FACTORS and card.real(2, name) != 1.0:
             raise InputError(
                 (str(card), name),
@@ -354,7 +354,8 @@ def _mass(card: Card) -> Mass:
         raise InputError(
             (str(card), "CID"),
             card.text(3),
-            "blank. Try: put a grid at this place",
+            "blank",
+            hint="put a grid at this place",
             noun=f"{card}: CID",
             state=f"is {card.text(3)}, X1 to X3 are a place",
         )

@@ -73,5 +73,8 @@ class DividedLaminate(Laminate):
     def shear_shape(self) -> ShearShape:
         """InputError: membrane and bending are those of different materials."""
         raise InputError(
-            "a shell whose membrane and bending have materials of their own has no plies; allowed: a stack of plies"
+            "laminate",
+            allowed="a stack of plies",
+            noun="a shell whose membrane and bending have materials of their own",
+            state="has no plies",
         )

@@ -229,7 +229,7 @@ def _check_links(links: list[tuple[Card, Follower]], grids: dict[int, int]) -> N
                 raise wrong_entry(
                     card,
                     f"GRID {grids[link.node]} follows already by {led[link.node, i]}, in component {i + 1}",
-                    "one card for each freedom",
+                    "one card for each degree of freedom",
                     key="G",
                 )
             led[link.node, i] = card
@@ -241,9 +241,11 @@ def _check_links(links: list[tuple[Card, Follower]], grids: dict[int, int]) -> N
         order.prepare()
     except graphlib.CycleError as error:
         cards = dict.fromkeys(str(led[freedom]) for freedom in error.args[1])
-        raise InputError(
-            f"{', '.join(cards)}: their dependent grids form a closed chain; allowed: chains that end at an "
-            "independent grid"
+        raise wrong_entry(
+            ", ".join(cards),
+            "their dependent grids form a closed chain",
+            "chains that end at an independent grid",
+            key="G",
         ) from None
 
 

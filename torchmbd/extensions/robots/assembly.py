@@ -115,7 +115,7 @@ class _Builder:
         ):
             for name in keys:
                 if name not in allowed:
-                    raise unknown(f"{key}:", name, allowed)
+                    raise unknown(f"{key}:", name, allowed, (key, name))
         for link, body in self.flexible.items():
             if not isinstance(body, FlexibleBody):
                 raise InputError(("flexible", link), body, "a FlexibleBody", noun=f"flexible[{link!r}]")

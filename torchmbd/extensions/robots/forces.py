@@ -59,7 +59,7 @@ def actuator_forces(
     forces: list[ForceElement] = []
     for name in controls:
         if name not in names:
-            raise unknown("controls:", name, names)
+            raise unknown("controls:", name, names, ("controls", name))
     for actuator in actuators:
         least, largest = actuator.limits or (-math.inf, math.inf)
         control: Any = controls.get(actuator.name, min(max(0.0, least), largest))  # a number, or a function of time

@@ -176,7 +176,7 @@ class _Reader(Values):
         name = element.get("name") or name
         where, kind = f"{self.file}, joint {name!r}", attributes.get("type", "hinge")
         if kind not in KINDS:
-            raise unknown(f"{where}: type", kind, KINDS)
+            raise unknown(f"{where}: type", kind, KINDS, (where, "type"))
         unit = self.angle if kind == "hinge" else 1.0
         dampers, springs = (self.terms(where, attributes, key) for key in ("damping", "stiffness"))
         friction = self.number(where, attributes, "frictionloss")
@@ -315,7 +315,7 @@ class _Reader(Values):
             pair = attributes.get("body1", ""), attributes.get("body2", "world")
             for link in pair:
                 if link not in links:
-                    raise unknown(f"{where}: body", link, links)
+                    raise unknown(f"{where}: body", link, links, (where, "body"))
             place = np.array(self.numbers(where, attributes, "anchor", "" if element.tag == "connect" else "0 0 0", 3))
             yield Closure(name, "spherical" if element.tag == "connect" else "fixed", pair, place)
 
@@ -324,7 +324,7 @@ class _Reader(Values):
         names = [attributes[key] for key in ("joint1", "joint2") if key in attributes or key == "joint1"]
         for key, name in zip(("joint1", "joint2"), names, strict=False):
             if name not in joints:
-                raise unknown(f"{where}: {key}", name, joints)
+                raise unknown(f"{where}: {key}", name, joints, (where, key))
         terms = self.numbers(where, attributes, "polycoef", "0 1 0 0 0")
         if any(terms[2:]) and len(names) == 2:
             raise InputError(
@@ -356,7 +356,7 @@ class _Reader(Values):
             )
             where = f"{self.file}, {element.tag} {name!r}"
             if joint is not None and joint not in joints:
-                raise unknown(f"{where}: joint", joint, joints)
+                raise unknown(f"{where}: joint", joint, joints, (where, "joint"))
             types = [attributes.get(key) for key in ("gaintype", "biastype", "dyntype")]
             simple = types[0] in (None, "fixed") and types[1] in (None, "none", "affine") and types[2] in (None, "none")
             filtered = {"timeconst", "dampratio"} & attributes.keys() and element.tag == "position"

@@ -51,7 +51,7 @@ class Values:
         self.omitted: dict[str, list[str]] = {}
         for element in root:
             if element.tag not in SECTIONS:
-                raise unknown(f"{file}: element", element.tag, SECTIONS)
+                raise unknown(f"{file}: element", element.tag, SECTIONS, (file, element.tag))
         for element in root.iter():
             for key in element.attrib.keys() - KNOWN.get(element.tag, element.attrib.keys()):
                 self.note_omitted(f"{key} of <{element.tag}>", element.get("name", ""))
@@ -82,13 +82,13 @@ class Values:
         """Return the attributes of an element, with the defaults of its class."""
         name = element.get("class", inherited)
         if name not in self.classes:
-            raise unknown(f"{self.file}, <{element.tag}>: class", name, self.classes)
+            raise unknown(f"{self.file}, <{element.tag}>: class", name, self.classes, (self.file, element.tag, "class"))
         return self.classes[name].get(tag or element.tag, {}) | element.attrib
 
     def numbers(
         self, where: str, attributes: Attributes, key: str, default: str, count: int | None = None
     ) -> list[float]:
-        return numbers(f"{where}: {key}", attributes.get(key, default), count)
+        return numbers(where, key, attributes.get(key, default), count)
 
     def number(self, where: str, attributes: Attributes, key: str, default: str = "0") -> float:
         return self.numbers(where, attributes, key, default, 1)[0]

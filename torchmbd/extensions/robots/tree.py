@@ -187,7 +187,7 @@ def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJ
     for joint in joints:
         for link in (joint.parent, joint.child):
             if link not in links:
-                raise unknown(f"{file}, joint {joint.name!r}: link", link, links)
+                raise unknown(f"{file}, joint {joint.name!r}: link", link, links, (file, "joint", joint.name, "link"))
         if joint.child in parents:
             raise wrong_entry(file, f"link {joint.child!r} is the child of two joints", "a tree")
         parents[joint.child] = joint.parent
@@ -219,12 +219,12 @@ def by_unique_name(file: str, kind: str, items: Iterable[Any]) -> dict[str, Any]
     return entries
 
 
-def numbers(where: str, text: str, count: int | None = None) -> list[float]:
-    """Read the numbers of an attribute, `count` of them."""
+def numbers(where: str, key: str, text: str, count: int | None = None) -> list[float]:
+    """Read the numbers of the attribute `key`, `count` of them."""
     words = text.split()
     values = [float(word) for word in words if _NUMBER.fullmatch(word)]
     size = max(len(words), 1) if count is None else count
     if len(words) != size or len(values) != size or not all(map(math.isfinite, values)):
         many = "numbers" if count is None else f"{count} number{'s' if count > 1 else ''}"
-        raise InputError(str(where), text, many)
+        raise InputError((where, key), text, many, noun=f"{where}: {key}")
     return values

@@ -65,7 +65,8 @@ def _check_parts(file: str, root: ET.Element) -> None:
         if twice:
             raise InputError(
                 (file, element.tag, twice[0]),
-                rule="appears twice; allowed: once",
+                allowed="once",
+                state="appears twice",
                 noun=f"{file}, <{element.tag}> {element.get('name', '')!r}: <{twice[0]}>",
             )
         for tag in set(tags) - set(_PARTS[element.tag].split()):
@@ -98,13 +99,12 @@ def _number(where: str, element: ET.Element | None, key: str, default: float | N
         if default is None:
             raise InputError((str(where), key), allowed="a number", noun=f"{where}: {key}", state="is missing")
         return default
-    return numbers(f"{where}: {key}", text, 1)[0]
+    return numbers(where, key, text, 1)[0]
 
 
 def _pose(where: str, element: ET.Element | None) -> Pose:
     place, angles = (
-        numbers(f"{where}: {key}", "0 0 0" if element is None else element.get(key, "0 0 0"), 3)
-        for key in ("xyz", "rpy")
+        numbers(where, key, "0 0 0" if element is None else element.get(key, "0 0 0"), 3) for key in ("xyz", "rpy")
     )
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
     axes = np.array(
@@ -138,7 +138,7 @@ def _joint(file: str, element: ET.Element) -> RobotJoint:
     name = _named(file, element)
     where, kind = f"{file}, joint {name!r}", element.get("type", "")
     if kind not in KINDS:
-        raise unknown(f"{where}: type", kind, KINDS)
+        raise unknown(f"{where}: type", kind, KINDS, (where, "type"))
     ends = []
     for end in ("parent", "child"):
         link = element.find(end)
@@ -148,7 +148,7 @@ def _joint(file: str, element: ET.Element) -> RobotJoint:
             )
         ends.append(link.get("link", ""))
     axis_element = element.find("axis")
-    axis = np.array(numbers(f"{where}: axis", "1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0"), 3))
+    axis = np.array(numbers(where, "axis", "1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0"), 3))
     length = float(np.linalg.norm(axis))
     if kind != "fixed" and not length > 1e-9:
         raise InputError(

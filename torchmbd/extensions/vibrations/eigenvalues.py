@@ -35,7 +35,7 @@ Choice = Callable[[Sequence[Spectrum], Sequence[Linearization]], Sequence[int]]
 _NEIGHBORS = 6  # vibrations above those asked for that are looked at, as they may coincide with these
 _LANES = 64  # states, or terms, whose equations are evaluated at once: fewer take longer, more leave the cache
 _UNEQUAL = 1e-6  # of derivatives of eigenvalues that coincide: more than rounding
-_HELD = "allowed: functions of other eigenvalues, or drives, joints and springs that hold the mechanism"
+_HELD = "functions of other eigenvalues, or drives, joints and springs that hold the mechanism"
 
 
 def eigenvalues(
@@ -164,7 +164,11 @@ class _Eigenproblem:
                 if spectrum.fault[mode] and bool(bars[:, i, :, lane].any()):
                     where = self._where(lane)
                     raise DesignFailure(
-                        f"eigenvalue {mode + 1}{where} has no derivative: it is {spectrum.fault[mode]}; {_HELD}"
+                        "number",
+                        mode + 1,
+                        _HELD,
+                        noun=f"eigenvalue {mode + 1}{where}",
+                        state=f"has no derivative: it is {spectrum.fault[mode]}",
                     )
             self._refuse_unequal(lane, modes, bars[..., lane])
         bars = self._shared(bars, modes)
@@ -231,8 +235,11 @@ class _Eigenproblem:
     def _coincide(self, lane: int, modes: Sequence[int]) -> DesignFailure:
         numbers, value = ", ".join(str(k + 1) for k in sorted(modes)), self.spectra[lane].values[modes[0]].item()
         return DesignFailure(
-            f"eigenvalues {numbers}{self._where(lane)} coincide at {value:.6g}: a single one has no derivative; allowed: "
-            "functions symmetric in them, such as SystemFrequency(cluster=...)"
+            "number",
+            [k + 1 for k in sorted(modes)],
+            "functions symmetric in them, such as SystemFrequency(cluster=...)",
+            noun=f"eigenvalues {numbers}{self._where(lane)}",
+            state=f"coincide at {value:.6g}: a single one has no derivative",
         )
 
     @property

@@ -121,7 +121,7 @@ class Responses(AboutState):
             left = N @ torch.linalg.solve(Z.mH, N.T @ y.mH)
         except RuntimeError as error:  # of torch.linalg
             raise InputError(
-                "frequencies", allowed="others [Hz]", state=f"has a pole without damping ({error})"
+                "frequencies", allowed="other frequencies [Hz]", state=f"has a pole without damping ({error})"
             ) from None
         back = torch.linalg.pinv(rest.Phi_q[:, active].T, rtol=RELATIVE).to(s.dtype)
         force, slip = back @ (f - P @ right), back @ (y.mH - P.mH @ left)

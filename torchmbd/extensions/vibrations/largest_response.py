@@ -59,7 +59,10 @@ def largest_response(states: SteadyStates, ports: Ports, row: int, order: int, b
     [G] = problem.of(states.q, dynamics)
     if is_differentiated(G) and not all_true(G != 0.0):
         raise DesignFailure(
-            "a response that is zero has no derivative; allowed: an output that the input moves, values in torch.no_grad()"
+            "output",
+            allowed="an output that the input moves, values in torch.no_grad()",
+            noun="a response that is zero",
+            state="has no derivative",
         )
     frequency = torch.tensor([w for w, _ in problem.points], dtype=torch.float64)
     return Largest(G.abs(), frequency, [where for _, where in problem.points])
@@ -134,8 +137,11 @@ def _samples(poles: Tensor, band: tuple[float, float]) -> list[float]:
         nearest = int(distance.argmin())
         if float(distance[nearest]) <= UNDAMPED * max(w, float(poles[nearest].abs())):
             raise DesignFailure(
-                f"the response is infinite: a vibration of {w:.6g} rad/s in the band has no damping; allowed: damping, or a "
-                "band without it"
+                "band",
+                band,
+                "damping, or a band without this vibration",
+                noun="the response",
+                state=f"is infinite: a vibration of {w:.6g} rad/s in the band has no damping",
             )
         points.append(w)
         w += STEP * float(distance[nearest])

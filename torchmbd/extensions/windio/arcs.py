@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, Path, unknown
 from torchmbd.extensions.windio.profile import Profile
 from torchmbd.extensions.windio.span_values import span_values
 
@@ -34,7 +34,7 @@ class LayerArcs:
 
     def web(self, name: str, side: str, position: float, profile: Profile) -> float:
         """Return the position along the contour where a web starts or ends."""
-        return span_values(f"{side} of {name}", self._webs[name][f"{side}_nd_arc"])(position)
+        return span_values(("webs", name, f"{side}_nd_arc"), self._webs[name][f"{side}_nd_arc"])(position)
 
     def layer(self, name: str, side: str, position: float, profile: Profile, depth: int = 0) -> float:
         """Return the position along the contour where a layer starts or ends; `fixed` names an edge, or a neighboring layer."""
@@ -47,14 +47,8 @@ class LayerArcs:
             if fixed in self._layers and depth < len(self._layers):
                 return self.layer(fixed, other, position, profile, depth + 1)
             if fixed is not None:
-                raise InputError(
-                    (name, f"{side}_nd_arc"),
-                    fixed,
-                    "TE, or the name of a layer",
-                    state=f"is fixed at {fixed!r}",
-                    noun=f"{side}_nd_arc of layer {name!r}",
-                )
-            return span_values(f"{side}_nd_arc of {name}", arc)(position)
+                raise InputError(("layers", name, f"{side}_nd_arc", "fixed"), fixed, "TE, or the name of a layer")
+            return span_values(("layers", name, f"{side}_nd_arc"), arc)(position)
         if "width" not in layer or depth > len(self._layers):
             raise InputError(
                 ("layers", name),
@@ -62,7 +56,7 @@ class LayerArcs:
                 noun=f"layer {name!r}",
                 state=f"has no {side}_nd_arc",
             )
-        width = span_values(f"width of {name}", layer["width"])(position, 0.0) / profile.around
+        width = span_values(("layers", name, "width"), layer["width"])(position, 0.0) / profile.around
         beside = self.layer(name, other, position, profile, len(self._layers) + 1)
         return profile.off_edge(beside) + _SIGN[side] * width
 
@@ -84,54 +78,46 @@ class AnchorArcs:
             for key in (*_HANDLES, *_LENGTHS):
                 if key in anchor and not isinstance(anchor[key], Mapping):
                     raise InputError(
-                        (name, key),
-                        anchor[key],
-                        rule="must have grid and values, or an anchor",
-                        noun=f"{key} of anchor {name!r}",
+                        ("anchors", name, key), anchor[key], rule="must have grid and values, or an anchor"
                     )
             defines = anchor.get("width", {}).get("defines", [])
             if not isinstance(defines, list):
-                raise InputError(
-                    (name, "defines"),
-                    defines,
-                    rule=f"must be a list of {', '.join(_HANDLES)}",
-                    noun=f"defines in width of anchor {name!r}",
-                )
+                path = ("anchors", name, "width", "defines")
+                raise InputError(path, defines, rule=f"must be a list of {', '.join(_HANDLES)}")
 
     def web(self, name: str, side: str, position: float, profile: Profile) -> float:
         """Return the position along the contour where a web starts or ends."""
-        return self._end(f"web {name!r}", self._webs[name], side, position, profile)
+        return self._end(("webs", name), self._webs[name], side, position, profile)
 
     def layer(self, name: str, side: str, position: float, profile: Profile) -> float:
         """Return the position along the contour where a layer starts or ends."""
-        return self._end(f"layer {name!r}", self._layers[name], side, position, profile)
+        return self._end(("layers", name), self._layers[name], side, position, profile)
 
-    def _end(self, owner: str, entry: Mapping[str, Any], side: str, position: float, profile: Profile) -> float:
+    def _end(self, owner: Path, entry: Mapping[str, Any], side: str, position: float, profile: Profile) -> float:
         key = f"{side}_nd_arc"
+        path = (*owner, key)
         if key not in entry:
-            raise InputError((owner, key), rule="is missing: must refer to an anchor")
-        anchor, handle = _reference(f"{key} of {owner}", entry[key])
-        return self._handle(f"{key} of {owner}", anchor, handle, position, profile, ())
+            raise InputError(path, rule="is missing: must refer to an anchor")
+        anchor, handle = _reference(path, entry[key])
+        return self._handle(path, anchor, handle, position, profile, ())
 
     def whole_web(self, name: str, position: float) -> None:
         """InputError where a layer covers a part of its web."""
         layer = self._layers[name]
         anchors = self._of_webs[layer["web"]]
         for side, expected in TRAILING_EDGE.items():
-            entry = f"{side}_nd_arc of layer {name!r}"
+            entry = ("layers", name, f"{side}_nd_arc")
             if f"{side}_nd_arc" not in layer:
-                raise InputError((entry,), rule=f"is missing: must refer to an anchor of web {layer['web']!r}")
+                raise InputError(entry, rule=f"is missing: must refer to an anchor of web {layer['web']!r}")
             anchor, handle = _reference(entry, layer[f"{side}_nd_arc"])
             if anchor not in anchors:
-                raise unknown((entry, "anchor"), anchor, anchors)
+                raise unknown((*entry, "anchor"), anchor, anchors)
             if handle not in anchors[anchor]:
-                raise InputError(
-                    (anchor, handle), rule=f"has no {handle}", noun=f"anchor {anchor!r} of web {layer['web']!r}"
-                )
-            at = span_values(f"{handle} of anchor {anchor!r}", anchors[anchor][handle])(position)
+                raise InputError(("webs", layer["web"], "anchors", anchor, handle), rule="is missing")
+            at = span_values(("webs", layer["web"], "anchors", anchor, handle), anchors[anchor][handle])(position)
             if abs(at - expected) > _ROUNDING:
                 raise InputError(
-                    (entry,),
+                    entry,
                     at,
                     rule=f"must be {expected:g} at {position:g}, because a layer covers its whole web",
                     shown=f"{at:g}",
@@ -140,7 +126,7 @@ class AnchorArcs:
 
     def _handle(
         self,
-        owner: str,
+        owner: Path,
         name: str,
         handle: str,
         position: float,
@@ -149,18 +135,13 @@ class AnchorArcs:
     ) -> float:
         """Return the position of an anchor's handle; `through` has the handles whose positions need it."""
         if name not in self._anchors:
-            raise unknown((owner, "anchor"), name, self._anchors)
+            raise unknown((*owner, "anchor"), name, self._anchors)
         if handle not in _HANDLES:
-            raise InputError(
-                (owner, "handle"), handle, rule=f"must be one of {', '.join(_HANDLES)}", noun=f"handle of {owner}"
-            )
+            raise InputError((*owner, "handle"), handle, rule=f"must be one of {', '.join(_HANDLES)}")
+        entry = ("anchors", name, handle)
         if (name, handle) in through:
-            raise InputError(
-                (name, handle),
-                rule="refers to itself: must have numbers along the span",
-                noun=f"{handle} of anchor {name!r}",
-            )
-        anchor, through, entry = self._anchors[name], (*through, (name, handle)), f"{handle} of anchor {name!r}"
+            raise InputError(entry, rule="refers to itself: must have numbers along the span")
+        anchor, through = self._anchors[name], (*through, (name, handle))
 
         def other(reference: Any) -> float:
             return self._handle(entry, *_reference(entry, reference), position, profile, through)
@@ -171,29 +152,28 @@ class AnchorArcs:
         for key, unit in (("offset_nd_arc", 1.0), ("offset_arc", profile.around)):
             offset = anchor.get(key)
             if offset is not None and offset.get("defines") == handle:
-                return other(offset) + span_values(f"{key} of anchor {name!r}", offset)(position) / unit
+                return other(offset) + span_values(("anchors", name, key), offset)(position) / unit
         width = anchor.get("width")
         if width is not None and handle in width.get("defines", []):
             side = handle.partition("_")[0]
-            share = span_values(f"width of anchor {name!r}", width)(position, 0.0) / profile.around
+            share = span_values(("anchors", name, "width"), width)(position, 0.0) / profile.around
             if "midpoint_nd_arc" in anchor:
                 share, beside = 0.5 * share, "midpoint_nd_arc"
             else:
                 beside = f"{_OTHER[side]}_nd_arc"
             return profile.off_edge(self._handle(entry, name, beside, position, profile, through)) + _SIGN[side] * share
         raise InputError(
-            (name, handle),
-            rule=f"has no {handle}: must have numbers along the span, or width, offset_arc or offset_nd_arc; "
+            entry,
+            rule="is missing: must have numbers along the span, or width, offset_arc or offset_nd_arc, because "
             "plane_intersection is not computed",
             hint="the converter or the optimization tool that writes them",
-            noun=f"anchor {name!r}",
         )
 
 
-def _reference(owner: str, entry: Any) -> tuple[str, str]:
+def _reference(owner: Path, entry: Any) -> tuple[str, str]:
     """Return name and handle of a reference to an anchor."""
     anchor = entry.get("anchor") if isinstance(entry, Mapping) else None
     name, handle = (anchor.get(key) if isinstance(anchor, Mapping) else None for key in ("name", "handle"))
     if not isinstance(name, str) or not isinstance(handle, str):
-        raise InputError(str(owner), entry, rule="must be an anchor, with name and handle")
+        raise InputError(owner, entry, rule="must be an anchor, with name and handle")
     return name, handle

@@ -66,17 +66,17 @@ class WindIOBlade:
         try:
             read = entries(_loaded(path.read_text(encoding="utf-8")))
             self._shape = {
-                "chord": span_values("chord", read.chord),
-                "twist": span_values("twist", read.twist, read.angle),
+                "chord": span_values(("chord",), read.chord),
+                "twist": span_values(("twist",), read.twist, read.angle),
             }
-            self._offsets = {name: span_values(name, table) for name, table in read.offsets.items()}
-            self._axis = [span_values(f"reference_axis {name}", read.axis[name]) for name in "xyz"]
+            self._offsets = {name: span_values((name,), table) for name, table in read.offsets.items()}
+            self._axis = [span_values(("reference_axis", name), read.axis[name]) for name in "xyz"]
             self._contours = Contours(read.labels, read.positions, read.airfoils, read.thickness)
             self._materials, self._webs, self._layers = read.materials, read.webs, read.layers
             self._arcs, self._angle = read.arcs, read.angle
             for name, layer in self._layers.items():
                 if "web" in layer and layer["web"] not in self._webs:
-                    raise unknown((name, "web"), layer["web"], self._webs)
+                    raise unknown(("layers", name, "web"), layer["web"], self._webs)
         except InputError as error:
             raise within(path.name, error) from None
         except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
@@ -125,10 +125,10 @@ class WindIOBlade:
         profile = self._profile(position)
         layers, webs = [], {name: [] for name in self._webs}
         for number, (name, layer) in enumerate(self._layers.items()):
-            thickness = span_values(f"thickness of {name}", layer["thickness"])(position, 0.0)
+            thickness = span_values(("layers", name, "thickness"), layer["thickness"])(position, 0.0)
             if thickness < 0.0:
                 raise InputError(
-                    (name, "thickness"),
+                    ("layers", name, "thickness"),
                     thickness,
                     "zero or above",
                     state=f"is {thickness:g} m",
@@ -157,7 +157,9 @@ class WindIOBlade:
                     )
         plies = [self._solid(layer["material"]) for layer in self._layers.values()]
         angles = [
-            span_values(f"fiber_orientation of {name}", layer.get("fiber_orientation", ALONG), self._angle)(position)
+            span_values(("layers", name, "fiber_orientation"), layer.get("fiber_orientation", ALONG), self._angle)(
+                position
+            )
             for name, layer in self._layers.items()
         ]
         mesh = profile_section(profile, layers, made, cells, order)
@@ -188,7 +190,7 @@ class WindIOBlade:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
-                ("materials", name), allowed="E, G, nu, rho", noun=f"material {name!r}", state=f": {error!r}"
+                ("materials", name), allowed="E, G, nu, rho", state=f"has other entries: {error!r}"
             ) from None
 
 
@@ -215,7 +217,9 @@ def _loaded(text: str) -> Any:
     anchors: list[str] = []
     opened: list[tuple[str | None, int]] = [(None, 0)]  # (anchor, entries) of the collections around
     if flow.max(initial=0) > BRACKETS:  # the parser's time grows with their square
-        raise InputError(f"its data have more than {BRACKETS} brackets that are open at once")
+        raise InputError(
+            "data", allowed="fewer", noun="its data", state=f"have more than {BRACKETS} brackets that are open at once"
+        )
     for event in yaml.parse(text, loader):
         size = 0
         if isinstance(event, yaml.CollectionStartEvent):
@@ -233,7 +237,9 @@ def _loaded(text: str) -> Any:
             break
     else:
         return yaml.load(text, loader if len(set(anchors)) == len(anchors) else _Redefining)
-    raise InputError(f"its data have more than {NESTED} levels or {ENTRIES} entries")
+    raise InputError(
+        "data", allowed="fewer", noun="its data", state=f"have more than {NESTED} levels or {ENTRIES} entries"
+    )
 
 
 def _parts(name: str, position: float, start: float, end: float, profile: Profile) -> list[tuple[float, float]]:

@@ -45,11 +45,11 @@ class Contours:
         self._profiles = [shapes[name] for name in labels]
         self._grid = None
         if positions is not None:
-            along = span_values("airfoil_position", {"grid": positions, "values": self._thicknesses})
+            along = span_values(("airfoils", "spanwise_position"), {"grid": positions, "values": self._thicknesses})
             self._grid = along.grid
             self._relative = along if len(labels) == 1 else PchipInterpolator(along.grid, along.values)
         if thickness is not None:
-            self._relative = span_values("rthick", thickness)
+            self._relative = span_values(("rthick",), thickness)
         elif positions is None:
             raise InputError("airfoils", rule="have neither spanwise_position nor rthick: must have one of them")
         steps = np.diff(self._thicknesses)
@@ -102,9 +102,9 @@ def _resampled(name: str, coordinates: Mapping[str, Any]) -> Array:
     rows = [np.array(coordinates[axis], dtype=float) for axis in "xy"]
     if rows[0].ndim != 1 or rows[0].shape != rows[1].shape or not np.isfinite(rows).all():
         raise InputError(
-            (name, "coordinates"),
+            ("airfoils", name, "coordinates"),
             [row.shape for row in rows],
-            "as many, finite",
+            "as many x as y, all finite",
             noun=f"coordinates of airfoil {name!r}",
             state=f"are {[row.shape for row in rows]} numbers",
         )

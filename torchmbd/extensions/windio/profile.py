@@ -141,7 +141,9 @@ def profile_section(
     count = max(len(stack) for stack in stacks)
     if not all(stacks):
         x = float(middles[[len(stack) for stack in stacks].index(0)])
-        raise InputError(f"the contour has no layer at {x:.4f} of its length; allowed: a wall all around")
+        raise InputError(
+            "layers", allowed="a wall all around", noun="the contour", state=f"has no layer at {x:.4f} of its length"
+        )
     stacks = [_divided(stack, count) for stack in stacks]
     depth = np.array([np.cumsum([0.0, *(t for _, t in stack)]) for stack in stacks])  # [columns, count + 1]
     inner = _faces(profile, s, depth, order)
@@ -270,7 +272,10 @@ def _untangled(s: Array, p: Array, depth: Array, normal: Array) -> Array:
         if share.min() < _THINNEST:
             at = float(s[int(share.argmin())])
             raise InputError(
-                f"the wall at {at:.4f} of the contour crosses itself; allowed: thinner layers, fewer cells"
+                "layers",
+                allowed="thinner layers, fewer cells",
+                noun=f"the wall at {at:.4f} of the contour",
+                state="crosses itself",
             )
         wrong = np.zeros(len(p), dtype=bool)
         wrong[:-1] |= crossed

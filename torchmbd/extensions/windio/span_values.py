@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 
 Array = NDArray[np.float64]
 
@@ -25,20 +25,25 @@ class SpanValues:
         return float(np.interp(at, self.grid, self.values, left=outside, right=outside))
 
 
-def span_values(name: str, table: Mapping[str, Any], unit: float = 1.0) -> SpanValues:
+def span_values(path: Path, table: Mapping[str, Any], unit: float = 1.0) -> SpanValues:
     """Read numbers along the span; InputError where grid and values are not as many rising and finite numbers.
 
-    name   of the entry, for messages
+    path   the keys to the entry
     table  the entry: `grid` and `values`
     unit   of the file in SI units; values are multiplied by it
     """
     try:
         grid, values = (np.array(table[key], dtype=float) for key in ("grid", "values"))
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError((name,), allowed="grid and values, numbers", noun=f"{name}:", state=f"{error!r}") from None
+        state = f"has other entries: {error!r}"
+        raise InputError(path, allowed="grid and values, numbers", state=state) from None
     if grid.ndim != 1 or grid.shape != values.shape or len(grid) < 1 or not (np.diff(grid) >= 0.0).all():
         first = np.atleast_1d(grid).tolist()[:5]
-        raise InputError(name, allowed="as many, rising", state=f"has grid {first} and {values.size} values")
+        raise InputError(
+            path,
+            allowed="a rising grid, and a value for each of its places",
+            state=f"has grid {first} and {values.size} values",
+        )
     if not (np.isfinite(grid).all() and np.isfinite(values).all()):
-        raise InputError(name, allowed="finite ones", state="has numbers that are not finite")
+        raise InputError(path, allowed="finite numbers", state="has numbers that are not finite")
     return SpanValues(grid, unit * values)

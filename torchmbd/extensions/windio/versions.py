@@ -86,8 +86,8 @@ def entries(data: Mapping[str, Any]) -> Entries:
 def _version_1(data: Mapping[str, Any], blade: Mapping[str, Any]) -> Entries:
     inner, shape = blade["internal_structure_2d_fem"], blade["outer_shape_bem"]
     placement = shape["airfoil_position"]
-    webs = named("web", inner.get("webs") or [], "start_nd_arc", "end_nd_arc")
-    layers = named("layer", inner["layers"], "material", "thickness")
+    webs = named("webs", inner.get("webs") or [], "start_nd_arc", "end_nd_arc")
+    layers = named("layers", inner["layers"], "material", "thickness")
     return Entries(
         angle=1.0,
         chord=shape["chord"],
@@ -97,8 +97,8 @@ def _version_1(data: Mapping[str, Any], blade: Mapping[str, Any]) -> Entries:
         labels=list(placement["labels"]),
         positions=placement["grid"],
         thickness=shape.get("rthick"),
-        airfoils=named("airfoil", data["airfoils"]),
-        materials=named("material", data["materials"]),
+        airfoils=named("airfoils", data["airfoils"]),
+        materials=named("materials", data["materials"]),
         webs=webs,
         layers=layers,
         arcs=LayerArcs(layers, webs),
@@ -109,8 +109,8 @@ def _version_2(data: Mapping[str, Any], blade: Mapping[str, Any]) -> Entries:
     inner, shape = blade["structure"], blade["outer_shape"]
     placement = list(shape["airfoils"])
     positions = [entry.get("spanwise_position") for entry in placement]
-    webs = named("web", inner.get("webs") or [], "start_nd_arc", "end_nd_arc")
-    layers = named("layer", inner["layers"], "material", "thickness")
+    webs = named("webs", inner.get("webs") or [], "start_nd_arc", "end_nd_arc")
+    layers = named("layers", inner["layers"], "material", "thickness")
     _warn_of_parts(inner, webs)
     return Entries(
         angle=math.pi / 180.0,
@@ -124,12 +124,12 @@ def _version_2(data: Mapping[str, Any], blade: Mapping[str, Any]) -> Entries:
         thickness=shape.get("rthick"),
         airfoils={
             name: {"coordinates": entry["coordinates"], "relative_thickness": entry["rthick"]}
-            for name, entry in named("airfoil", data["airfoils"]).items()
+            for name, entry in named("airfoils", data["airfoils"]).items()
         },
-        materials=named("material", data["materials"]),
+        materials=named("materials", data["materials"]),
         webs=webs,
         layers=layers,
-        arcs=AnchorArcs(layers, webs, named("anchor", inner["anchors"])),
+        arcs=AnchorArcs(layers, webs, named("anchors", inner["anchors"])),
     )
 
 

@@ -44,7 +44,7 @@ class Nodes(nn.Module):
 
     def __init__(self, nodes: nn.Parameter):
         super().__init__()
-        self.nodes = parameter(("BeamLine", "nodes"), nodes)
+        self.nodes = parameter("nodes", nodes)
 
     def forward(self) -> Tensor:
         return self.nodes
@@ -123,7 +123,7 @@ class BeamLine:
         )
         self.variables = ParameterVector.of(self.node_module)
         numbers: Any = nodes if self.node_module is None else evaluate_nodes(self.node_module)
-        self.nodes = reals(("BeamLine", "nodes"), numbers)
+        self.nodes = reals("nodes", numbers)
         if self.node_module is not None and middles is not None:
             raise InputError(
                 "nodes",
@@ -134,9 +134,9 @@ class BeamLine:
             )
         _check_nodes(self.nodes)
         chain = np.array(list(pairwise(range(len(self.nodes)))))
-        self.elements = indices(("BeamLine", "elements"), chain if elements is None else elements)
+        self.elements = indices("elements", chain if elements is None else elements)
         _check_elements(self.nodes, self.elements)
-        self.middles = None if middles is None else reals(("BeamLine", "middles"), middles)
+        self.middles = None if middles is None else reals("middles", middles)
         if self.middles is not None:
             _check_middles(self.nodes[self.elements], self.middles)
         if node_sets is None:
@@ -248,7 +248,8 @@ def _check_nodes(nodes: Tensor) -> None:
     for first, k in repeated_rows(nodes.numpy()):
         raise InputError(
             ("nodes", k),
-            rule=f"share one place {nodes[k].tolist()}; merge them",
+            rule=f"share one place {nodes[k].tolist()}",
+            hint="merge them",
             noun=f"BeamLine: nodes {first} and {k}",
         )
 
@@ -283,7 +284,8 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
         k = int(short[0])
         raise InputError(
             ("elements", k),
-            rule="has no length; merge its nodes",
+            rule="has no length",
+            hint="merge its nodes",
             noun=f"BeamLine: element {k}, nodes {elements[k].tolist()},",
         )
     tail, head = elements.numpy().T

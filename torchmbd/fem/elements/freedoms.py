@@ -162,8 +162,11 @@ def _following(x: Tensor, mean: MeanMotion, bound: Tensor) -> tuple[Tensor, Tens
     missing = bound[freedoms] & (B != 0.0).any(0)
     if bool(missing.any()):
         raise InputError(
-            f"the mean motion of nodes {list(mean.nodes)} needs the rotations of nodes that have none; allowed: nodes that are "
-            "not on a line"
+            "means",
+            list(mean.nodes),
+            "nodes that are not on a line",
+            noun=f"the mean motion of nodes {list(mean.nodes)}",
+            state="needs rotations, which these nodes do not have",
         )
     scale = torch.tensor([1.0, 1.0, 1.0, size, size, size], dtype=x.dtype)
     scaled = scale[:, None] * B / scale.repeat(len(mean.nodes))

@@ -98,7 +98,10 @@ def link_entries(x: Float[Tensor, "n 3"], links: Sequence[Follower]) -> Entries:
     while not bool(ends.all()):
         if len(made) > len(links):
             raise InputError(
-                f"node {int(led[~ends][0]) // 6} follows by links that run in a circle; allowed: chains that end"
+                ("links", int(led[~ends][0]) // 6),
+                allowed="chains that end",
+                noun=f"node {int(led[~ends][0]) // 6}",
+                state="follows by links that run in a circle",
             )
         rest = (factor[~ends].numpy(), (led[~ends].numpy(), source[~ends].numpy()))
         product = scipy.sparse.coo_array(scipy.sparse.csr_array(rest, shape=size) @ step)
@@ -133,8 +136,8 @@ def check_links(n: int, held: list[int], links: Sequence[Follower]) -> None:
         if k in held:
             raise InputError(
                 ("links", k),
-                allowed="hold the node that leads it",
-                state="is held and follows other nodes by a link",
+                rule="must not be held, because it follows other nodes by a link",
+                hint="hold the node that leads it",
                 noun=f"node {k}",
             )
 
@@ -168,8 +171,11 @@ def _mean(x: Tensor, link: Average) -> list[tuple[int, Tensor]]:
     values = torch.linalg.eigvalsh(normal * scale * scale[:, None])
     if float(values[0]) < 1e-10 * float(values[-1]):
         raise InputError(
-            f"average at node {link.node}: nodes {list(link.nodes)} lie on one line, "
-            "so they tell no rotation about it; allowed: nodes that span a plane"
+            ("links", link.node),
+            list(link.nodes),
+            "nodes that span a plane",
+            noun=f"average at node {link.node}:",
+            state=f"nodes {list(link.nodes)} lie on one line, about which their displacements do not show a rotation",
         )
     inverse = torch.linalg.inv(normal)
     blocks = []

@@ -227,12 +227,16 @@ class ExactBeam(nn.Module):
         count = len(search.topology.free)
         if not is_whole(number) or not 1 <= number <= count:
             raise InputError(
-                "number", number, f"1 to {count}, its freedoms", noun=f"number of frequencies of {self.name!r}"
+                "number",
+                number,
+                f"1 to {count}, its degrees of freedom",
+                noun=f"number of frequencies of {self.name!r}",
             )
         if not search.topology.symmetric:
             raise InputError(
                 "loads",
-                rule="have moments, which have no potential; allowed in frequencies: forces",
+                allowed="forces, in frequencies",
+                state="have moments, which have no potential",
                 noun=f"loads of {self.name!r}",
             )
         solution = solve(search, data)
@@ -247,7 +251,7 @@ class ExactBeam(nn.Module):
         fixed, imposed = supported_freedoms(self.name, self.mesh, supports)
         free = torch.tensor([f for f in range(6 * n) if f not in set(fixed)])
         if not len(free):
-            raise InputError((self.name, "supports"), supports, "fewer", state="hold all freedoms")
+            raise InputError((self.name, "supports"), supports, "fewer", state="hold all degrees of freedom")
         data, symmetric = beam_data(
             self.mesh, self.sections, elements, present_nodes(self.mesh), imposed, arguments, massive
         )

@@ -86,7 +86,7 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
     """Return the held degrees of freedom 6 * node + i, and the imposed motions [n, 6]; default: all of "start"."""
     supports = {"start": "all"} if supports is None else supports
     if not isinstance(supports, Mapping) or not supports:
-        raise InputError((name, "supports"), supports, "nodes -> freedoms, at least one")
+        raise InputError((name, "supports"), supports, "nodes -> degrees of freedom, at least one")
     places: dict[int, float] = {}
     for where, support in supports.items():
         values = _values(f"support {where!r} of {name!r}", support)
@@ -105,8 +105,8 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
         if len(turns) == 1 or (len(turns) == 2 and any(turns)):
             raise InputError(
                 (name, "supports", node),
-                rule=f"hold {len(turns)} rotations of node {node}; allowed where rotations are finite: none, all three, or "
-                "two at 0 (a hinge)",
+                allowed="where rotations are finite: none, all three, or two at 0 (a hinge)",
+                state=f"hold {len(turns)} rotations of node {node}",
                 noun=f"supports of {name!r}",
             )
     return sorted(places), imposed.reshape(-1, 6)

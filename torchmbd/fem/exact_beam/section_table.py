@@ -36,7 +36,7 @@ class SectionTable(nn.Module):
 
     def __init__(self, positions: Sequence[float] | Tensor, sections: Sequence[Any]) -> None:
         super().__init__()
-        at = reals(("SectionTable", "positions"), positions)
+        at = reals("positions", positions)
         if (
             at.ndim != 1
             or len(at) < 2

@@ -212,7 +212,12 @@ def element_properties(
     good = untransformed(relative).diagonal(dim1=-2, dim2=-1).sum(-1) > 1.0 + 2.0 * math.cos(LARGEST)
     if not all_true(good):
         k = int(good.reshape(-1, len(i)).all(0).logical_not().nonzero()[0, 0])
-        raise InputError(f"element {k} of {sections.name!r} turns by more than {LARGEST} rad; allowed: more elements")
+        raise InputError(
+            (sections.name, "line"),
+            allowed="more elements",
+            noun=f"element {k} of {sections.name!r}",
+            state=f"turns by more than {LARGEST} rad",
+        )
     apart = nodes[..., j, :] - nodes[..., i, :]
     screws = logarithm((first.mT @ apart[..., None])[..., 0], relative)
     to_line = line_transform(offset, ends)

@@ -16,10 +16,10 @@ from torchmbd.math.plausible_units import THICKNESS, check_angles, warn_unusual
 
 
 def checked_angles(owner: str, angles: Sequence[float] | Tensor) -> nn.Parameter:
-    theta = parameter((owner, "angles"), angles)
+    theta = parameter("angles", angles)
     if theta.ndim != 1 or theta.numel() == 0:
         raise InputError(
-            (str(owner), "angles"),
+            "angles",
             theta,
             "one angle per layer, [layers] rad",
             noun=f"{owner}: angles",
@@ -44,7 +44,7 @@ def checked_plies(ply: Lamina | Sequence[Lamina], layers: int) -> list[Lamina]:
 
 
 def checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> nn.Parameter:
-    t = parameter(("Laminate", "thickness"), thickness)
+    t = parameter("thickness", thickness)
     if t is thickness and t.ndim == 0:
         raise InputError(
             "thickness",

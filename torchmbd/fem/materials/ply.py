@@ -230,7 +230,7 @@ def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
     ratio, modulus = number(nu), number(E)
     if not (is_real(ratio) and -1.0 < ratio <= most):
         raise InputError(
-            (str(name), "nu"),
+            "nu",
             ratio,
             f"-1 < nu <= {most:g}, or mbd.variable(...) of such a number",
             noun=f"{name}: nu",
@@ -238,7 +238,7 @@ def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
         )
     if not (is_real(modulus) and 0.0 < modulus < math.inf):
         raise InputError(
-            (str(name), "E"),
+            "E",
             modulus,
             "a finite number > 0, or mbd.variable(...) of one",
             noun=f"{name}: E",

@@ -85,8 +85,8 @@ def progressive_failure(
         raise InputError(
             "criterion",
             criterion,
-            rule=f"has an infinite strength in its plane; allowed with criterion {criterion!r}: finite ones",
-            shown="",
+            allowed=f"finite ones with criterion {criterion!r}",
+            state="has an infinite strength in its plane",
             noun="a ply",
         )
     rule = MODES[criterion]
@@ -184,5 +184,5 @@ def _checked(
             raise InputError(name, x.tolist(), "three finite numbers xx, yy, xy", shown=f"{x.tolist()}")
     loads = torch.cat(both)
     if not loads.any():
-        raise InputError("force", allowed="a load that is not", state="are zero", noun="force and moment")
+        raise InputError("force", allowed="a load that is not zero", state="are zero", noun="force and moment")
     return loads

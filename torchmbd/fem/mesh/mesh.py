@@ -81,10 +81,10 @@ class Mesh:
         if not isinstance(self.node_sets, Mapping):
             raise InputError("node_sets", self.node_sets, "names -> lists of nodes", noun="node_sets of a Mesh")
         sets = {str(name): node_members("Mesh", name, members) for name, members in self.node_sets.items()}
-        object.__setattr__(self, "nodes", reals(("Mesh", "nodes"), self.nodes))
+        object.__setattr__(self, "nodes", reals("nodes", self.nodes))
         object.__setattr__(self, "node_sets", sets)
         for name in ("triangles", "quads", "lines"):
-            elements = indices(("Mesh", name), getattr(self, name))
+            elements = indices(name, getattr(self, name))
             object.__setattr__(self, name, elements)
         self._check()
 
@@ -104,8 +104,8 @@ class Mesh:
             raise InputError(
                 "node",
                 name,
-                rule=f"has {len(members)} nodes; allowed: a node set with one node",
-                shown="",
+                allowed="a node set with one node",
+                state=f"has {len(members)} nodes",
                 noun=f"Mesh: node set {name!r}",
             )
         return members[0]

@@ -126,16 +126,18 @@ def _check_nodes(mesh: Cells) -> None:
         if ({k, other} <= plates and frozenset((k, other)) not in joined) or not len(mesh.lines):
             raise InputError(
                 ("nodes", k),
-                rule=f"share one place {nodes[k].tolist()}; merge them",
+                rule=f"share one place {nodes[k].tolist()}",
+                hint="merge them",
                 noun=f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)}",
             )
 
 
-def _refuse(mesh: Cells, text: str, count: int) -> None:
-    """Raise InputError; of a mesh `as_given` warn instead."""
+def _refuse(mesh: Cells, k: int, noun: str, fault: str, count: int) -> None:
+    """Raise the InputError of cell k; for a mesh `as_given` warn instead."""
+    error = InputError(("cells", k), rule=fault, noun=f"Mesh: {noun}")
     if not mesh.as_given:
-        raise InputError(text)
-    warn(f"{text} ({count} in all); taken as they are")
+        raise error
+    warn(f"{error} ({count} in all); taken as they are")
 
 
 def _check_shapes(mesh: Cells) -> None:
@@ -166,8 +168,14 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
     duplicates = repeated_rows(np.sort(corners.numpy(), axis=1))
     if len(duplicates):
         original, copy = (mesh.cell_name(start + int(k)) for k in duplicates[0])
-        text = f"Mesh: {original} and {copy} are duplicates, nodes {corners[duplicates[0, 1]].tolist()}"
-        _refuse(mesh, text, len(duplicates))
+        nodes = corners[duplicates[0, 1]].tolist()
+        _refuse(
+            mesh,
+            start + int(duplicates[0, 1]),
+            f"{original} and {copy}",
+            f"are duplicates, nodes {nodes}",
+            len(duplicates),
+        )
     p = mesh.nodes[corners]
     ahead, back, area = p.roll(-1, dims=1) - p, p.roll(1, dims=1) - p, directed_area(p)
     height = torch.linalg.cross(ahead, back)  # of every corner: twice its triangle's directed area
@@ -177,15 +185,15 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
     wrong = (~open).nonzero().flatten().tolist()
     if wrong:
         name, nodes = mesh.cell_name(start + wrong[0]), corners[wrong[0]].tolist()
-        shape = "is collapsed, concave or crosses itself; allowed: convex, corners in turn"
+        state, allowed = "is collapsed, concave or crosses itself", "convex, corners in turn"
         if corners.shape[1] == 3:
-            shape = "is collapsed (its corners are on a line)"
-        raise InputError(f"Mesh: {name}, nodes {nodes}, {shape}")
+            state, allowed = "is collapsed", "corners that are not on a line"
+        raise InputError(("cells", start + wrong[0]), nodes, allowed, noun=f"Mesh: {name}, nodes {nodes},", state=state)
     wrong = (~flat).nonzero().flatten().tolist()
     if wrong:
         name, nodes = mesh.cell_name(start + wrong[0]), corners[wrong[0]].tolist()
-        text = f"Mesh: {name}, nodes {nodes}, is warped by more than 40 degrees; cut it in two"
-        _refuse(mesh, text, len(wrong))
+        fault = "is warped by more than 40 degrees; cut it in two"
+        _refuse(mesh, start + wrong[0], f"{name}, nodes {nodes},", fault, len(wrong))
 
 
 def _check_orphans(mesh: Cells) -> None:
@@ -197,7 +205,10 @@ def _check_orphans(mesh: Cells) -> None:
         orphans = (~used).nonzero().flatten().tolist()
         names = ", ".join(mesh.node_name(k) for k in orphans[:8])
         raise InputError(
-            "nodes", rule=f"belong to no element: {names}; remove them", noun=f"Mesh: {len(orphans)} orphan nodes"
+            "nodes",
+            rule=f"belong to no element: {names}",
+            hint="remove them",
+            noun=f"Mesh: {len(orphans)} orphan nodes",
         )
 
 
@@ -238,8 +249,9 @@ def _check_winding(mesh: Cells) -> None:
         a, b = owner[inverse.ravel() == wrong[0]].tolist()
         _refuse(
             mesh,
-            f"Mesh: {mesh.cell_name(a)}, nodes {nodes[a]}, and {mesh.cell_name(b)}, nodes "
-            f"{nodes[b]}, are wound in opposite senses: one of them is inverted",
+            b,
+            f"{mesh.cell_name(a)}, nodes {nodes[a]}, and {mesh.cell_name(b)}, nodes {nodes[b]},",
+            "are wound in opposite senses: one of them is inverted",
             len(wrong),
         )
 

@@ -120,9 +120,7 @@ def parse_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, 
         raise InputError(
             "n",
             n,
-            rule="are allowed",
-            shown="",
-            noun=f"n = {n!r} modes of a problem with {K_form.size} freedoms; 1 ... {K_form.size}",
+            f"1 to {K_form.size}, the degrees of freedom of the problem",
         )
     K_lanes, M_lanes = K_values.shape[: -K_form.entry_dims], M_values.shape[: -M_form.entry_dims]
     try:
@@ -130,8 +128,8 @@ def parse_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, 
     except ValueError:
         raise InputError(
             "M",
-            rule=f"has lanes {tuple(K_lanes)} and M has {tuple(M_lanes)}; lanes that broadcast are needed",
-            noun="K",
+            allowed="lanes that broadcast",
+            state=f"has lanes {tuple(M_lanes)}, and K has {tuple(K_lanes)}",
         ) from None
     K_entry, M_entry = K_values.shape[len(K_lanes) :], M_values.shape[len(M_lanes) :]
     flat_K = K_values.expand(*lanes, *K_entry).reshape(-1, *K_entry)

@@ -91,11 +91,11 @@ def eigenpair_branches(
     [-1.0, 1.0]
     """
     if orders < 1:
-        raise InputError("orders", orders, rule="is needed", shown="", noun=f"orders = {orders!r}; at least 1")
+        raise InputError("orders", orders, "at least 1")
     pencil, K, M, lanes = parse_pencil(*matrices(b), n)
     if lanes:
         raise InputError(
-            "matrices", rule=f"has lanes {tuple(lanes)}; one design at a time is allowed", noun="matrices(b)"
+            "matrices", allowed="one design at a time", state=f"has lanes {tuple(lanes)}", noun="matrices(b)"
         )
 
     def along(t: Tensor) -> tuple[Tensor, Tensor]:

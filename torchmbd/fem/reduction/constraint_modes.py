@@ -60,12 +60,15 @@ def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
     freedoms = tuple(indices("interface", list(interface)).tolist())
     for i in freedoms:
         if not 0 <= i < size:
-            raise InputError("interface", interface, f"0 ... {size - 1}", state=f"has the freedom {i}")
+            raise InputError("interface", interface, f"0 to {size - 1}", state=f"has the degree of freedom {i}")
         if freedoms.count(i) > 1:
-            raise InputError("interface", interface, "each at most once", state=f"has the freedom {i} more than once")
+            raise InputError("interface", interface, "each at most once", state=f"has {i} more than once")
     if not 0 < len(freedoms) < size:
         raise InputError(
-            "interface", interface, "at least one, and not all", state=f"has {len(freedoms)} of {size} freedoms"
+            "interface",
+            interface,
+            "at least one, and not all",
+            state=f"has {len(freedoms)} of {size} degrees of freedom",
         )
     return freedoms
 

@@ -72,9 +72,7 @@ def craig_bampton(
     size = T.shape[-2]
     held = interface_freedoms(interface, size)
     if not is_whole(n) or not 0 <= n <= size - len(held):
-        raise InputError(
-            "n", n, f"0 ... {size - len(held)}, the interior freedoms", state=f"= {n!r} fixed-interface modes"
-        )
+        raise InputError("n", n, f"0 to {size - len(held)}, the degrees of freedom that are not in the interface")
     if n:
         inner = modal_basis(interior(K, held, size), interior(M, held, size), n, cluster, more=more)
         width = inner.stiffness.shape[-1]

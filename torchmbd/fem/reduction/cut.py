@@ -15,12 +15,12 @@ Checked in tests/fem/reduction/test_cut.py.
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, Path
 from torchmbd.fem.reduction.dense import DenseModes
 from torchmbd.fem.reduction.forms import lane_name
 from torchmbd.fem.reduction.latest import Latest
@@ -39,9 +39,16 @@ class CutCluster(InputError):
     beyond  the least larger number that does not cut the cluster, as far as eigenvalues are known
     """
 
-    def __init__(self, message: str, lanes: tuple[int, ...], beyond: int) -> None:
-        super().__init__(message)
+    def __init__(
+        self, path: Path, n: Any, rule: str, hint: str, lanes: tuple[int, ...], beyond: int, noun: str = ""
+    ) -> None:
+        super().__init__(path, n, rule=rule, hint=hint, noun=noun or f"{path[-1]} = {n}", shown="")
         self.lanes, self.beyond = lanes, beyond
+
+    def of_body(self, name: str) -> CutCluster:
+        """The error for the modes of a body."""
+        path, noun = (name, "modes"), f"{name!r}: {self._noun}"
+        return CutCluster(path, self.value, self.rule, self.hint, self.lanes, self.beyond, noun)
 
 
 class Modes(DeflatedSolver, Protocol):
@@ -112,16 +119,18 @@ def cut_error(pencil: Pencil, modes: Modes, n: int, more: int, cluster: float, K
         known_ends = ends(known)
         below, beyond = max((e for e in known_ends if e < n), default=0), next((e for e in known_ends if e > n), 0)
         allowed = [f"n = {end}" for end in (below, beyond) if end]
-        text = (
-            f"n = {n} cuts a cluster{where}: eigenvalues {n} and {n + 1} are {values[n - 1]:.10g} and {values[n]:.10g}, closer "
-            f"than cluster = {cluster:g} relative; take {' or '.join(allowed) or 'more modes'}"
+        rule = (
+            f"must not cut a cluster{where}: eigenvalues {n} and {n + 1} are {values[n - 1]:.10g} and {values[n]:.10g}, closer "
+            f"than cluster = {cluster:g} relative"
         )
-        return CutCluster(text, tuple(lanes), beyond or len(values))
+        hint = " or ".join(allowed) or "more modes"
+        return CutCluster(("n",), n, rule, hint, tuple(lanes), beyond or len(values), f"n = {n}:")
     while not (further := [end for end in ends(known) if end > n]):
         known = min(2 * known, size)
     beyond = further[0]
-    text = f"modes = {n}{where}: must not divide modes of equal frequency, as modes {n} to {beyond} are. Try: modes = {beyond}"
-    return CutCluster(text, tuple(lanes), beyond)
+    rule = f"must not divide modes of equal frequency, as modes {n} to {beyond} are"
+    noun = f"modes = {n}{where}:"
+    return CutCluster(("modes",), n, rule, f"modes = {beyond}", tuple(lanes), beyond, noun)
 
 
 def _solved(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> DenseModes | SparseModes:

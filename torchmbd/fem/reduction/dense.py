@@ -96,4 +96,4 @@ def check_positive_definite(M: Tensor) -> None:
     if info.any():
         lane = int(info.nonzero()[0])
         row = int(torch.linalg.eigh(M[lane]).eigenvectors[:, 0].abs().argmax())
-        raise Indefinite(f"M{lane_name(lane, len(M))} {NO_INERTIA}", row)
+        raise Indefinite("M", lane_name(lane, len(M)), NO_INERTIA, row)

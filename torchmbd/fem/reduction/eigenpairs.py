@@ -79,7 +79,7 @@ UNEQUAL = 1e-4  # of cotangents; less is what distinct eigenvalues of a cluster 
 NOISE = 1e-9  # relative gap at which rounding enters differences of functions of two eigenvalues by 2e-7
 ASYMMETRY = 1e-13  # of cotangents of a span, by rounding
 _ALLOWED = (
-    "allowed: functions of their values alone or of their span alone, spectral_function, modal_basis, eigenpair_branches along "
+    "functions of their values alone or of their span alone, spectral_function, modal_basis, eigenpair_branches along "
     "one direction"
 )
 
@@ -238,14 +238,13 @@ def _refuse(
         unequal = high.amax(-1) - low.amin(-1) > UNEQUAL * g.abs().amax(-1, keepdim=True)
         inside = torch.where(noisy, X, 0.0).abs().amax(-1) > UNEQUAL * size
         wrong = turned | lost | (unequal & inside)
-        what = "a gradient by single ones of their vectors, or by values and vectors together,"
+        what = "a gradient with respect to single vectors of them, or to values and vectors together"
     if wrong.any():
         lane, mode = (int(i) for i in wrong.reshape(-1, wrong.shape[-1]).nonzero()[0])
         labels = near.expand(*X.shape).reshape(-1, *near.shape[-2:])[lane, mode].nonzero().squeeze(-1) + 1
-        raise InputError(
-            f"modes {', '.join(map(str, labels.tolist()))} coincide, and {what} was asked for, which is not to be had from "
-            f"pairs; {_ALLOWED}"
-        )
+        modes = ", ".join(map(str, labels.tolist()))
+        state = f"coincide, and eigenpairs do not have {what}"
+        raise InputError("modes", labels.tolist(), _ALLOWED, noun=f"modes {modes}", state=state)
     return torch.zeros_like(X)
 
 

@@ -128,7 +128,7 @@ def root(layout: Layout, form: Form, values: Tensor) -> Root:
     except IndefiniteLane as error:
         lane = error.args[0]
         row = _loosest(layout, form, values[lane : lane + 1])
-        raise Indefinite(f"M{lane_name(lane, len(values))} {NO_INERTIA}", row) from None
+        raise Indefinite("M", lane_name(lane, len(values)), NO_INERTIA, row) from None
 
 
 def _loosest(layout: Layout, form: Form, A: Tensor) -> int:
@@ -173,8 +173,8 @@ class Solver:
             lane = int(weak.nonzero()[0])
             row = _loosest(self.layout, self.form, values[lane : lane + 1])
             row = row if self._freedoms is None else int(self._freedoms[row])
-            message = f"K{lane_name(lane, len(values))} {fault} without stiffness, or against it; hold more freedoms"
-            raise Indefinite(message, row)
+            fault = f"{fault} without stiffness, or against it"
+            raise Indefinite("K", lane_name(lane, len(values)), fault, row)
 
     def solve(self, F: Tensor) -> Tensor:
         """A^-1 F for columns F [lane, T, N, k]."""

@@ -29,13 +29,13 @@ SYMMETRY_TOLERANCE = 1e-9
 class Indefinite(InputError):
     """A matrix is not positive definite.
 
-    fault   what is wrong, without the row
+    fault   the matrix, its lane and what is wrong, without the row
     row     the row of the matrix that moves most where its quadratic form is least
     """
 
-    def __init__(self, fault: str, row: int) -> None:
-        super().__init__(f"{fault}; row {row} moves most")
-        self.fault, self.row = fault, row
+    def __init__(self, name: str, lane: str, fault: str, row: int) -> None:
+        super().__init__(name, rule=f"{fault}; row {row} moves most", noun=f"{name}{lane}")
+        self.fault, self.row = f"{name}{lane} {fault}", row
 
 
 #: The fault of a mass.
@@ -156,7 +156,7 @@ def recognize(name: str, matrix: Tensor | SparseMatrix, size: int | None = None)
         form: Form = Sparse(matrix.pattern, matrix.symmetric)
         values = matrix.values
     elif not isinstance(matrix, Tensor):
-        raise InputError(name, rule=f"is a {type(matrix).__name__}; a tensor or a SparseMatrix is needed")
+        raise InputError(name, matrix, "a tensor or a SparseMatrix", state=f"is a {type(matrix).__name__}")
     elif matrix.dim() >= 2 and matrix.shape[-1] == matrix.shape[-2] and (size is None or matrix.shape[-1] == size):
         form, values = Dense(matrix.shape[-1]), matrix
     elif size is not None and matrix.dim() >= 1 and matrix.shape[-1] == size:
@@ -164,11 +164,12 @@ def recognize(name: str, matrix: Tensor | SparseMatrix, size: int | None = None)
     else:
         diagonal = "" if size is None else f" or [..., {size}] (a diagonal)"
         needed = "[..., N, N]" if size is None else f"[..., {size}, {size}]"
-        raise InputError(name, rule=f"has shape {tuple(matrix.shape)}; {needed}{diagonal} or a SparseMatrix is needed")
+        allowed, state = f"{needed}{diagonal} or a SparseMatrix", f"has shape {tuple(matrix.shape)}"
+        raise InputError(name, allowed=allowed, state=state)
     if size is not None and form.size != size:
         raise InputError(name, allowed=f"{size}, the number of rows of K", state=f"has {form.size} rows")
     if values.dtype != torch.float64:
-        raise InputError(name, rule=f"has dtype {values.dtype}; torch.float64 is needed")
+        raise InputError(name, allowed="torch.float64", state=f"has dtype {values.dtype}")
     return form, values
 
 
@@ -177,8 +178,9 @@ def check(name: str, form: Form, values: Tensor) -> None:
     if not torch.isfinite(values.sum()) and (wrong := ~torch.isfinite(values)).any():
         raise InputError(
             name,
-            rule="are needed",
-            noun=f"{_entry_name(name, form, wrong)} = {values[wrong][0].item()}; finite numbers",
+            values[wrong][0].item(),
+            "finite numbers",
+            noun=_entry_name(name, form, wrong),
         )
     if isinstance(form, Sparse) and form.symmetric:
         return
@@ -189,7 +191,8 @@ def check(name: str, form: Form, values: Tensor) -> None:
         difference = skew[wrong][0].item()
         raise InputError(
             name,
-            rule=f"differs by {difference:.3g} from its mirror image; symmetric needed",
+            allowed="a symmetric matrix",
+            state=f"differs by {difference:.3g} from its mirror image",
             noun=_entry_name(name, form, wrong),
         )
 
@@ -203,7 +206,7 @@ def check_positive_diagonal(form: Form, values: Tensor) -> None:
         value = diagonal[lane, row].item()
         place = f"M[{row}, {row}]{lane_name(lane, len(values))}"
         raise InputError(
-            "M", value, rule="is not positive definite; positive needed", shown="", noun=f"{place} = {value:.3g}: M"
+            "M", value, "positive entries, because M is positive definite", noun=place, shown=f"{value:.3g}"
         )
 
 

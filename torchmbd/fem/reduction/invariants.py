@@ -42,7 +42,8 @@ def inertia_invariants(
         shapes = ", ".join(str(tuple(a.shape)) for a in (x, mass, rotary, psi))
         raise InputError(
             "x",
-            rule=f"have shapes {shapes}; [..., n, 3], [..., n], [..., n], [..., n, 6, m] needed",
+            allowed="[..., n, 3], [..., n], [..., n], [..., n, 6, m]",
+            state=f"have shapes {shapes}",
             noun="x, mass, rotary, psi",
         )
     t, r = psi[..., :3, :], psi[..., 3:, :]

@@ -53,13 +53,13 @@ class SectionMesh:
         layer: ArrayLike | Tensor = 0,
         plane_angle: ArrayLike | Tensor | None = None,
     ) -> None:
-        self.nodes, self.dimensions = reals(("SectionMesh", "nodes"), nodes), {}
-        self.elements = tuple(indices(("SectionMesh", "elements"), block) for block in _blocks(elements))
+        self.nodes, self.dimensions = reals("nodes", nodes), {}
+        self.elements = tuple(indices("elements", block) for block in _blocks(elements))
         count = sum(len(block) for block in self.elements)
-        self.layer = _per_element("layer", indices(("SectionMesh", "layer"), layer), count)
+        self.layer = _per_element("layer", indices("layer", layer), count)
         self.plane_angle = None
         if plane_angle is not None:
-            self.plane_angle = _per_element("plane_angle", reals(("SectionMesh", "plane_angle"), plane_angle), count)
+            self.plane_angle = _per_element("plane_angle", reals("plane_angle", plane_angle), count)
         self._check_nodes()
         self._check_elements()
         self._check_connected()
@@ -88,7 +88,7 @@ class SectionMesh:
             )
         for first, k in repeated_rows(self.nodes.numpy()):
             raise InputError(
-                ("nodes", k), rule="share one place; merge them", noun=f"SectionMesh: nodes {first} and {k}"
+                ("nodes", k), rule="share one place", hint="merge them", noun=f"SectionMesh: nodes {first} and {k}"
             )
         if self.plane_angle is not None and not torch.isfinite(self.plane_angle).all():
             raise InputError(
@@ -143,7 +143,8 @@ class SectionMesh:
             orphans = (~used).nonzero().flatten().tolist()
             raise InputError(
                 "nodes",
-                rule=f"belong to no element: {orphans[:8]}; remove them",
+                rule=f"belong to no element: {orphans[:8]}",
+                hint="remove them",
                 noun=f"SectionMesh: {len(orphans)} nodes",
             )
 
@@ -179,7 +180,7 @@ class SectionMesh:
             raise InputError(
                 ("nodes", stray),
                 allowed="neighbors that share their sides",
-                state=f"lies on a side of element {element} and is none of its nodes",
+                state=f"lies on a side of element {element} and is not one of its nodes",
                 noun=f"SectionMesh: node {stray}",
             )
 

@@ -29,7 +29,6 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid, MotionCotangents
 from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.lanes import lane_numbers, lanes_of, pick_lanes, pick_states
@@ -169,7 +168,7 @@ class RunAdjoint:
         if g is not None:
             slopes = pulled_back([g], [torch.ones_like(g)[None]], inputs, 1)
             if bool((slopes[0] == 0.0).any()):
-                raise InputError(without_rate(segment.name))
+                raise without_rate(segment.name)
             mu = -cotangents[0][:, 0] / slopes[0][:, 0]  # [rows, lanes]
             cotangents = [x + by_lanes(mu, dg, kind) for x, dg, kind in zip(cotangents, slopes, kinds, strict=True)]
         _, by_t, *by_state = cotangents[: 2 + len(base)]

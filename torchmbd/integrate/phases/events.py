@@ -267,7 +267,7 @@ class Views:
             shapes=GivenShapes({}.__getitem__) if system is None else DesignShapes(system, designs, lanes),
             status=[OK] * lanes,
             stats={},
-            system=system,
+            system=system,  # pyright: ignore[reportArgumentType]  # None is never read
             dynamics=dynamics,
             designs=designs,
         )

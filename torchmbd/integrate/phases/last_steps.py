@@ -15,6 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lanes import lanes_of, pick_states, put_states
 from torchmbd.integrate.phases.events import Event, Views
@@ -83,11 +84,13 @@ def located(
     return PhaseExit(end, record.whole(y.map(lambda z: narrowed(z, rate)), end)), success
 
 
-def without_rate(phase: str) -> str:
-    """Why the time of an event has no derivative."""
-    return (
-        f"the function of the event of phase {phase!r} has no rate where it vanishes, so that the time has no derivative; "
-        "allowed: a function that passes zero, or no gradients"
+def without_rate(phase: str) -> InputError:
+    """The error for an event whose time has no derivative."""
+    return InputError(
+        ("phases", phase, "until"),
+        allowed="a function that passes zero, or no gradients",
+        noun=f"the function of the event of phase {phase!r}",
+        state="has no rate where it vanishes, so that the time has no derivative",
     )
 
 

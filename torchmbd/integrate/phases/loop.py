@@ -401,7 +401,7 @@ class _PhaseLoop:
         self._fail(~success, lanes, "last", base, value(base.t)[0] + bracket.high)
         for i in lane_numbers(success & ~torch.isfinite(value(there.t)[0])):
             self.multiphase.failed_for_good.add(lanes[i])
-            self.multiphase.fail(lanes[i], without_rate(self.segment.name))
+            self.multiphase.fail(lanes[i], str(without_rate(self.segment.name)))
         success = success & torch.isfinite(value(there.t)[0])
         good = lane_numbers(success)
         if good:

@@ -191,7 +191,8 @@ def _check_names(system: System, names: Sequence[str]) -> None:
         if twice:
             raise InputError(
                 kind,
-                rule=f"have the names {', '.join(twice)} more than once; allowed with phases: unique names",
+                allowed="unique names with phases",
+                state=f"have the names {', '.join(twice)} more than once",
                 noun=kind,
             )
 
@@ -244,7 +245,7 @@ def check_order(phases: Sequence[Phase], duration: float) -> None:
     if phases[-1].until is not None or phases[-1].lasting is not None:
         raise InputError(
             ("phases", names[-1]),
-            allowed="the last phase lasts until the duration of the simulation (add mbd.Phase() after it)",
+            allowed="no end, because the last phase lasts until the duration",
             state="is the last and has an end of its own",
             noun=f"phase {names[-1]!r}",
         )

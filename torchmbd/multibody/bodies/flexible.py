@@ -399,7 +399,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         try:
             basis = self.reduction(K, M)
         except CutCluster as error:
-            raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
+            raise error.of_body(self.name) from None
         psi = self.assembly.freedoms.expand(basis.vectors)
         psi = psi if self._rotations is None else self._rotations(psi)
         _, mass, rotary, arm = points

@@ -71,7 +71,7 @@ class GivenMatrices:
         if any(x.shape != (len(self.freedoms),) * 2 for x in matrices):
             raise InputError(
                 (name, "matrices"),
-                allowed=f"{len(self.freedoms)} rows and columns, one for each freedom of {len(positions)} nodes",
+                allowed=f"{len(self.freedoms)} rows and columns, one for each degree of freedom of {len(positions)} nodes",
                 state=f"have the shapes {', '.join(str(x.shape) for x in matrices)}",
             )
         self.pattern, values = _common_pattern(self.freedoms, matrices, 6 * len(positions))
@@ -113,7 +113,7 @@ def mesh_of(
         raise InputError(
             (name, "node_sets"),
             node_sets,
-            "those of the mesh, or nodes [n, 3]",
+            "the node sets of the mesh, or nodes [n, 3]",
             state="are given beside a Mesh",
         )
     return nodes

@@ -51,7 +51,7 @@ class Interface:
     weights: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        true_or_false(("Interface", "rigid"), self.rigid)
+        true_or_false("rigid", self.rigid)
         if self.rigid and self.weights is not None:
             raise InputError(
                 "weights", allowed="one of both", noun="weights of an Interface", state="are given, and it is rigid"

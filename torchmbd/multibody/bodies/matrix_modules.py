@@ -141,6 +141,6 @@ def matrix_source(name: str, M: Any, K: Any, derivatives: Any, parameters: Any) 
             noun=f"K and derivatives of {name!r}",
         )
     if isinstance(M, nn.Module) == (parameters is not None):
-        raise InputError((name, "parameters"), parameters, "those of a function, none for a module")
+        raise InputError((name, "parameters"), parameters, "parameters of a function, and none for a module")
     function: Any = M
     return _DenseMatrices(name, M if isinstance(M, nn.Module) else _Function(function, parameters))

@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, true_or_false, unknown, warn
+from torchmbd.errors import InputError, true_or_false, unknown, warn, within
 from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, CutCluster, VibrationModes, modal_basis
 from torchmbd.fem.reduction.forms import Indefinite
 from torchmbd.fem.reduction.mass_invariants import has_isotropic_inertia, mass_invariants, rigid_motions
@@ -133,7 +133,7 @@ class MatrixStructure:
         try:
             basis = self.reduction(K.restrict(self.free), M.restrict(self.free))
         except CutCluster as error:
-            raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
+            raise error.of_body(self.name) from None
         lanes = basis.vectors.shape[:-2]
         full = basis.vectors.new_zeros(*lanes, M.size, basis.vectors.shape[-1])
         return full.index_copy(-2, self.free, basis.vectors), basis.stiffness
@@ -162,20 +162,20 @@ class MatrixStructure:
             if len(bad):
                 raise InputError(
                     (self.name, key),
-                    allowed="mass and stiffness at every freedom",
+                    allowed="mass and stiffness at every degree of freedom",
                     state=f"is not positive definite: {float(_diagonal(A)[bad[0]]):g} at {freedom(int(bad[0]))} ("
-                    f"{len(bad)} freedoms are so)",
+                    f"one of {len(bad)})",
                 )
         try:
             reduction = REDUCTIONS[kind](int(modes), tuple(rows), updated)
             basis = reduction(K.restrict(self.free), M.restrict(self.free))
         except Indefinite as error:
             moving = freedom(int(self.free[error.row]))
-            raise InputError(f"reduction of {self.name!r}: {error.fault}; {moving} moves most") from None
+            rule = f"{error.fault}; {moving} moves most"
+            raise InputError((self.name, *error.path), rule=rule, noun=f"reduction of {self.name!r}:") from None
         except InputError as error:
-            raise InputError(
-                f"reduction of {self.name!r} (rows of its {len(self.free)} free freedoms): {error}"
-            ) from None
+            place = f"reduction of {self.name!r} (rows of its {len(self.free)} free degrees of freedom)"
+            raise within(place, error, self.name) from None
         self.reduction = reduction
         lowest, shapes = torch.linalg.eigh(basis.stiffness)
         scale = float((_diagonal(K)[self.free] / _diagonal(M)[self.free]).max())

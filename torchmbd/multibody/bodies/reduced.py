@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, true_or_false, unknown
+from torchmbd.errors import InputError, true_or_false, unknown, within
 from torchmbd.fem.elements import Assembly, MassPoints
 from torchmbd.fem.reduction import REDUCTIONS, CraigBampton, Matrix, ModalBasis, StaticShapes, VibrationModes
 from torchmbd.fem.reduction.forms import Indefinite
@@ -77,9 +77,10 @@ def reduced(
             _check_elastic(K, basis)
             return reduction, basis.stiffness.shape[-1]
     except Indefinite as error:
-        raise InputError(f"reduction of {name!r}: {error.fault}. {moving(assembly, error.row)}") from None
+        rule = f"{error.fault}. {moving(assembly, error.row)}"
+        raise InputError((name, *error.path), rule=rule, noun=f"reduction of {name!r}:") from None
     except InputError as error:
-        raise InputError(f"reduction of {name!r}: {_without_mass(assembly) or error}") from None
+        raise within(f"reduction of {name!r}", _without_mass(assembly) or error, name) from None
 
 
 def _check_elastic(K: SparseMatrix, basis: ModalBasis) -> None:
@@ -88,8 +89,8 @@ def _check_elastic(K: SparseMatrix, basis: ModalBasis) -> None:
     shape = basis.vectors.reshape(-1, *basis.vectors.shape[-2:])[0] @ shapes[:, :1]
     sizes = SparseMatrix(K.pattern, K.values.reshape(-1, K.pattern.nnz)[0].abs()) @ shape.abs()
     if len(values) and values[0] < -ROUNDING * torch.maximum((shape.abs() * sizes).sum(), values[-1]):
-        fault = "K is not positive definite: something can move against its stiffness"
-        raise Indefinite(fault, int(shape.abs().argmax()))
+        fault = "is not positive definite: something can move against its stiffness"
+        raise Indefinite("K", "", fault, int(shape.abs().argmax()))
 
 
 def moving(assembly: Assembly, row: int) -> str:
@@ -112,8 +113,8 @@ def _freedom_name(assembly: Assembly, freedom: int) -> tuple[str, str]:
     return named, f"{'along' if component < 3 else 'about'} {'xyz'[component % 3]}"
 
 
-def _without_mass(assembly: Assembly) -> str:
-    """A message that names the first degree of freedom with stiffness and without mass; "" if there is none."""
+def _without_mass(assembly: Assembly) -> InputError | None:
+    """The error for the first degree of freedom with stiffness and without mass; None if there is none."""
     M = assembly.mass()
     if isinstance(M, SparseMatrix):
         on = M.pattern.rows == M.pattern.cols
@@ -121,9 +122,10 @@ def _without_mass(assembly: Assembly) -> str:
         M = values.index_copy(0, M.pattern.rows[on], M.values.detach().reshape(-1, M.pattern.nnz)[0, on])
     bad = (M.detach().reshape(-1, len(assembly.freedoms.free))[0] <= 0).nonzero()[:, 0]
     if not len(bad):
-        return ""
+        return None
     named, what = _freedom_name(assembly, int(assembly.freedoms.free[bad[0]]))
-    return f"{named} has stiffness and no mass {what} ({len(bad)} freedoms are so); allowed: a mass or an inertia there"
+    state = f"has stiffness and no mass {what}, as have {len(bad)} degrees of freedom in all"
+    return InputError("M", allowed="a mass or an inertia there", noun=named, state=state)
 
 
 def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence[int]) -> tuple[int, ...]:

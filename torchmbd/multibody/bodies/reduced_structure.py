@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, unknown, within
 from torchmbd.fem.mesh import Mesh, NodeCloud
 from torchmbd.fem.reduction import modal_basis
 from torchmbd.math.checked_numbers import reals
@@ -157,7 +157,9 @@ class ReducedStructure:
             try:
                 small = modal_basis(Kr, 0.5 * (Mr + Mr.T), self.size)
             except InputError as error:
-                raise InputError(f"modal mass of {self.name!r}, the trace of C1 + R2 or Mr: {error}") from None
+                raise within(
+                    f"modal mass of {self.name!r} (the trace of C1 + R2, or Mr)", error, self.name, "invariants"
+                ) from None
             A, Kr = small
             psi = psi @ A
             invariants |= {key: invariants[key] @ A for key in ("S1", "C0", "R1")}
@@ -206,10 +208,16 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping
         raise InputError("path", str(path), "a name that ends in .npz", state=f"= {str(path)!r}")
     if "F1" in structure:
         raise InputError(
-            "the body has stiffening=True, but files of reduced bodies cannot store stiffening. Try: stiffening=False"
+            "stiffening", True, rule="must be False, because files of reduced bodies cannot store stiffening"
         )
     if structure["Kr"].dim() > 2:
-        raise InputError(f"the body has {structure['Kr'].shape[0]} designs at once; allowed: one")
+        raise InputError(
+            "designs",
+            structure["Kr"].shape[0],
+            "one",
+            noun="the body",
+            state=f"has {structure['Kr'].shape[0]} designs at once",
+        )
     arrays = {key: structure[key].detach().numpy() for key in (*SHAPES, "Kr", "psi", "K2") if key in structure}
     arrays["nodes"] = (mesh.nodes - origin).detach().numpy()
     lines = getattr(mesh, "elements", None)

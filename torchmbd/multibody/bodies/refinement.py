@@ -70,7 +70,7 @@ def obstacle(body: Any) -> str:
         return f"its mesh has {len(body.mesh.nodes)} nodes, and up to {MOST} are refined"
     if type(body.mesh) is Mesh and not len(body.mesh.lines):
         flat = all(isinstance(part, Plates) and part.laminates[0].field is None for part in body.parts.values())
-        return "" if flat and not links else "it has links, or parts that are no plates of equal plies"
+        return "" if flat and not links else "it has links, or parts that are not plates of equal plies"
     if isinstance(body.mesh, BeamLine) and body.mesh.middles is None:
         if varying_nodes(body.mesh) and not isinstance(body.mesh.node_module, Straight):
             return "its nodes vary one by one"

@@ -45,8 +45,8 @@ def check_stressed(name: str, what: str, parts: Mapping[str, Any]) -> None:
         if isinstance(part, GivenElements):
             raise InputError(
                 (name, part_name),
-                rule=f"is rods, springs or solids, which have no geometric stiffness here; allowed in {what}: plates and "
-                "beams",
+                allowed=f"plates and beams, in {what}",
+                state="is rods, springs or solids, which have no geometric stiffness here",
                 noun=f"part {part_name!r} of {name!r}",
             )
 

@@ -223,13 +223,18 @@ def factored_inertia(inertia: Tensor) -> Tensor:
     """L with L L' = N' M N. DesignFailure where it is not positive definite: vibrations do not exist."""
     if negative_mass(inertia):
         raise DesignFailure(
-            f"no vibrations: {NEGATIVE_MASS}; allowed: smaller loads, more pieces (mbd.split), exact beams"
+            "system",
+            allowed="smaller loads, more pieces (mbd.split), exact beams",
+            noun="no vibrations:",
+            state=NEGATIVE_MASS,
         )
     L, singular = torch.linalg.cholesky_ex(inertia)
     if int(singular):
         raise DesignFailure(
-            "no vibrations: the mechanism can move without moving a mass, as a body without inertia about a free axis; "
-            "allowed: masses and inertias > 0 of all that is free to move"
+            "system",
+            allowed="masses and inertias > 0 of all that is free to move",
+            noun="no vibrations:",
+            state="the mechanism can move without moving a mass, as a body without inertia about a free axis",
         )
     return L
 

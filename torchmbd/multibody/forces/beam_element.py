@@ -66,7 +66,7 @@ class BeamElement(ForceElement):
         if float(self.rest[3:].norm()) > LARGEST:
             raise InputError(
                 (self.name, "frames"),
-                allowed="less",
+                allowed="smaller turns",
                 state=f"are turned by more than {LARGEST} rad",
             )
 

@@ -140,8 +140,9 @@ def _called(control: Control, x: Tensor) -> Tensor:
         u = control.module(x)
     except Exception as error:  # a module of users may raise any error
         raise InputError(
-            f"{control.label} raises {error!r} in {user_line(error)} for x {list(x.shape)}; "
-            "allowed: x [lanes, inputs] -> [lanes, outputs]"
+            control.label,
+            allowed="x [lanes, inputs] -> [lanes, outputs]",
+            state=f"raises {error!r} in {user_line(error)} for x {list(x.shape)}",
         ) from error
     control.check(u, 1, 0.0)
     return u

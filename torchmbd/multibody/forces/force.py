@@ -40,21 +40,22 @@ class ForceElement:
 
     def __init__(self, frames: tuple[Any, ...], name: str | None = None):
         kind = type(self).__name__
-        for frame in frames:
+        names = {1: ("frame",), 2: ("a", "b")}.get(len(frames), ("frames",) * len(frames))
+        for key, frame in zip(names, frames, strict=True):
             if not isinstance(frame, Frame):
-                raise InputError("frames", frame, "frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
+                raise InputError(key, frame, "frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
         if all(isinstance(frame.body, Ground) for frame in frames):
             raise InputError(
-                "frames",
-                frames,
+                names[-1],
+                frames[-1],
                 "at least one frame on a body",
                 state=f"acts on {', '.join(map(repr, frames))}",
                 noun=kind,
             )
         if len(frames) == 2 and frames[0].body is frames[1].body:
             raise InputError(
-                "frames",
-                frames,
+                "b",
+                frames[1],
                 "two different bodies",
                 state=f"acts between {frames[0]!r} and {frames[1]!r}",
                 noun=kind,

@@ -58,7 +58,7 @@ class Spring:
         for name in self.data_fields:
             x = getattr(self, name)
             if not getattr(x, "shape", ()):  # else data of a batch of designs, which were checked
-                scalar(("Spring", name), number(x))
+                scalar(name, number(x))
 
     @property
     def center(self) -> float:
@@ -105,7 +105,7 @@ class Table:
                 "knots", self.knots, "two or more pairs (s, f) with growing s, finite", state=f"are {self.knots!r}"
             )
         object.__setattr__(self, "knots", tuple((s, f) for s, f in knots.tolist()))
-        scalar(("Table", "damping"), self.damping)
+        scalar("damping", self.damping)
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         total = self.knots[0][1] - self.damping * rate
@@ -223,7 +223,7 @@ class Gap:
     def __post_init__(self) -> None:
         for name in ("stiffness", "limit", "damping", "smooth"):
             least = -math.inf if name == "limit" else 0.0
-            if not scalar(("Gap", name), getattr(self, name)) >= least:
+            if not scalar(name, getattr(self, name)) >= least:
                 raise InputError(name, getattr(self, name), "zero or positive", noun=f"{name} of a Gap")
         if self.sign not in (1.0, -1.0):
             raise InputError("sign", self.sign, "1.0 or -1.0", noun="sign of a Gap")
@@ -263,7 +263,7 @@ class Friction:
             x = getattr(self, name)
             if getattr(x, "shape", ()):
                 continue  # data of a batch of designs, which were checked
-            if not scalar(("Friction", name), number(x)) > 0.0:
+            if not scalar(name, number(x)) > 0.0:
                 raise InputError(
                     name, number(x), "positive, or mbd.variable(...) of such a number", noun=f"{name} of a Friction"
                 )

@@ -212,13 +212,11 @@ class Joint:
 
     def __init__(self, a: Frame, b: Frame, name: str | None = None):
         kind = type(self).__name__
-        for frame in (a, b):
+        for key, frame in (("a", a), ("b", b)):
             if not isinstance(frame, Frame):
-                raise InputError("frames", frame, "frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
+                raise InputError(key, frame, "frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
         if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
-            raise InputError(
-                "frames", (a, b), "frames on two different bodies", state=f"joins {a!r} with {b!r}", noun=kind
-            )
+            raise InputError("b", b, "frames on two different bodies", state=f"joins {a!r} with {b!r}", noun=kind)
         if name is not None and not isinstance(name, str):
             raise InputError("name", name, "a string", noun=f"name of a {kind}")
         self.a, self.b = a, b

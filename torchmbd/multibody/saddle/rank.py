@@ -72,8 +72,10 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
         alone = [T.row_names[i] for i in driven if _dependent(np.concatenate([J[others], J[i : i + 1]]))[0] == rank]
         which = alone or [T.row_names[i] for i in driven]
         raise InputError(
-            f"{', '.join(repr(name) for name in which)}: the other joints leave no freedom for this at the initial position; "
-            "allowed: a drive along a motion that the joints leave free"
+            which[0],
+            allowed="a drive along a motion that the joints leave free",
+            noun=f"{', '.join(repr(name) for name in which)}:",
+            state="the other joints leave no degree of freedom for this at the initial position",
         )
     dependent = sorted(int(others[i]) for i in dependent)
     if not dependent:

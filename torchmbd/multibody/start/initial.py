@@ -297,9 +297,11 @@ class InitialConditions:
         worst = torch.argsort(phi, descending=True)[:4]
         rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > _CLOSED)
         raise InputError(
-            f"the mechanism does not close at the given positions, lengths and axes: {rows}. "
-            "Allowed: positions from which Newton's method can close all joints"
-            + (", or start='equilibrium', which bends flexible bodies to close them" if T.flexible else "")
+            "joints",
+            allowed="positions from which Newton's method can close all joints"
+            + (", or start='equilibrium', which bends flexible bodies to close them" if T.flexible else ""),
+            noun="the mechanism",
+            state=f"does not close at the given positions, lengths and axes: {rows}",
         )
 
 

@@ -44,7 +44,7 @@ class SupportedBody:
         if not isinstance(body, FlexibleBody):
             raise InputError("body", body, "a FlexibleBody", noun=f"body of {what}")
         if body.given_structure is not None:
-            lack = "no freedoms to support" if vibrating else "no stress"
+            lack = "no degrees of freedom to support" if vibrating else "no stress"
             raise InputError(
                 (body.name,),
                 allowed="one of elements",
@@ -65,7 +65,7 @@ class SupportedBody:
                 raise InputError(
                     (body.name, "supports", int(f // 6)),
                     float(held[f]),
-                    "0, or names of freedoms",
+                    "0, or names of degrees of freedom",
                     state=f"impose {held[f]:g} on {FREEDOMS[f % 6]} of node {f // 6} of {body.name!r}, and frequencies are "
                     "those of the unstressed body",
                     noun="supports",
@@ -83,7 +83,7 @@ class SupportedBody:
             if f in row:
                 self.imposed[row[f], 0], kept[row[f]] = value, False
         if not bool(kept.any()):
-            raise InputError("supports", supports, "fewer", state=f"hold all freedoms of {body.name!r}")
+            raise InputError("supports", supports, "fewer", state=f"hold all degrees of freedom of {body.name!r}")
         self.kept = kept.nonzero()[:, 0]
         self.pattern, self._positions = self.assembly.pattern.restrict(self.kept)
         with torch.no_grad():
@@ -129,11 +129,16 @@ class SupportedBody:
 
     def movable(self, error: InputError) -> DesignFailure:
         """The error for a stiffness on supports that is not positive definite: by the supports, or in one design."""
-        fault = str(error)
-        if isinstance(error, Indefinite):
-            fault = f"{error.fault}. {moving(self.assembly, int(self.kept[error.row]))}"
-        path = (self.name, "supports")
-        return DesignFailure(path, rule=f"leave it movable: {fault}", noun=f"supports of {self.name!r}")
+        return self.free_at(error.fault, error.row) if isinstance(error, Indefinite) else self._free(str(error))
+
+    def free_at(self, fault: str, row: int) -> DesignFailure:
+        """The error for supports that leave a rigid-body motion free; row: the free degree of freedom that moves most."""
+        return self._free(f"{fault}. {moving(self.assembly, int(self.kept[row]))}")
+
+    def _free(self, fault: str) -> DesignFailure:
+        path, noun = (self.name, "supports"), f"supports of {self.name!r}"
+        hint = "hold more degrees of freedom"
+        return DesignFailure(path, rule=f"leave it movable: {fault}", noun=noun, hint=hint)
 
 
 def _states(displacements: Tensor, changes: Changes) -> Iterator[tuple[Tensor, Mapping[str, str]]]:
@@ -148,7 +153,11 @@ def _states(displacements: Tensor, changes: Changes) -> Iterator[tuple[Tensor, M
 def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, float]:
     """Imposed displacements of the supported degrees of freedom 6 * node + i; none of a free body, where it is allowed."""
     if not isinstance(supports, Mapping) or not (supports or free_body):
-        allowed = "nodes -> freedoms, {} for a free body" if free_body else "nodes -> freedoms, at least one"
+        allowed = (
+            "nodes -> degrees of freedom, {} for a free body"
+            if free_body
+            else "nodes -> degrees of freedom, at least one"
+        )
         raise InputError((body.name, "supports"), supports, f"{allowed}, or None")
     imposed: dict[int, float] = {}
     for where, support in supports.items():

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction import CutCluster, Matrix, ModalBasis, eigenvalues, modal_basis
-from torchmbd.fem.reduction.forms import Indefinite, lane_name
+from torchmbd.fem.reduction.forms import lane_name
 from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.module_call import outside_transforms
@@ -98,7 +98,7 @@ class VibrationCase:
         """
         supported = self.supported
         if not is_whole(number) or not 1 <= number <= self.most:
-            allowed = f"1 to {self.most}, the free freedoms of {supported.name!r}"
+            allowed = f"1 to {self.most}, the free degrees of freedom of {supported.name!r}"
             raise InputError("number", number, allowed)
         K, M = self._matrices()
         first, end = self.rigid, self.rigid + int(number)
@@ -112,7 +112,7 @@ class VibrationCase:
             lane, mode = zero.nonzero()[0].tolist()
             row = int(untransformed(vectors).reshape(-1, *vectors.shape[-2:])[lane, :, mode].abs().argmax())
             fault = f"a frequency{lane_name(lane, len(zero))} is zero, so the supports leave a rigid-body motion free"
-            raise supported.movable(Indefinite(f"{fault}. Try: hold more degrees of freedom", row))
+            raise supported.free_at(fault, row)
         status = "six rigid motions of the free body are left out" if self.rigid else "ok"
         return Vibrations(squares.sqrt() / (2.0 * math.pi), supported.shapes(vectors), status)
 

@@ -121,7 +121,8 @@ def _line(body: Any) -> BeamLine:
     if line.node_module is not None or not torch.equal(line.elements, torch.stack([chain[:-1], chain[1:]], 1)):
         raise InputError(
             (body.name, "line"),
-            rule="has branches, or nodes that vary; allowed in split: elements from each node to the next",
+            allowed="elements from each node to the next, in split",
+            state="has branches, or nodes that vary",
         )
     return line
 

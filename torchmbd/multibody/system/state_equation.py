@@ -65,7 +65,12 @@ class StateEquation(nn.Module):
         grad, tensors = torch.is_grad_enabled(), [*self.parameters(), *self.buffers()]
         for x in tensors:
             if x.is_floating_point() and (x.dtype != torch.float64 or x.device.type != "cpu"):
-                raise InputError(f"the system was moved to {x.dtype} on {x.device}; allowed: torch.float64 on cpu")
+                raise InputError(
+                    "system",
+                    allowed="torch.float64 on cpu",
+                    noun="the system",
+                    state=f"was moved to {x.dtype} on {x.device}",
+                )
         if grad not in self._cache or not unchanged(self._cache[grad][0], tensors):
             plain = not any(map(in_transform, tensors))
             dynamics = outside_transforms(lambda: self._with_kept_graph(grad)) if plain else self._reduced()

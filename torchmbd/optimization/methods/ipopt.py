@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError
+from torchmbd.errors import not_installed
 from torchmbd.optimization.methods.adapters import LimitReached, Stop, WrappedProblem, run_adapted
 from torchmbd.optimization.optimizer import Ending, register, require_range
 from torchmbd.optimization.search import Search
@@ -35,13 +35,8 @@ def ipopt(search: Search, max_iterations: int, *, tol: float = 1e-6, kkt: float 
     try:
         cyipopt = import_module("cyipopt")
     except ImportError as error:
-        raise InputError(
-            "method",
-            "ipopt",
-            rule="needs the package cyipopt, which is not installed: conda install -c conda-forge cyipopt",
-            shown="",
-            noun="method = 'ipopt'",
-        ) from error
+        remedy = "conda install -c conda-forge cyipopt"
+        raise not_installed("method", "ipopt", "method = 'ipopt'", "cyipopt", remedy) from error
     for name, value in {"tol": tol, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1.0)
     return run_adapted(search, partial(_run, cyipopt=cyipopt, tol=tol), max_iterations, kkt)

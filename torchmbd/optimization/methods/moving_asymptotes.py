@@ -13,7 +13,7 @@ from importlib import import_module
 
 import numpy as np
 
-from torchmbd.errors import InputError
+from torchmbd.errors import not_installed
 from torchmbd.optimization.methods.adapters import LimitReached, Stop, WrappedProblem, run_adapted
 from torchmbd.optimization.optimizer import Ending, register, require_range
 from torchmbd.optimization.search import Search
@@ -39,13 +39,8 @@ def _run_nlopt(
     try:
         nlopt = import_module("nlopt")
     except ImportError as error:
-        raise InputError(
-            "method",
-            method,
-            rule="needs the package nlopt, which is not installed: pip install 'torchmbd[nlopt]'",
-            shown="",
-            noun=f"method = {method!r}",
-        ) from error
+        remedy = "pip install 'torchmbd[nlopt]'"
+        raise not_installed("method", method, f"method = {method!r}", "nlopt", remedy) from error
     for name, value in {"ftol": ftol, "xtol": xtol, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1.0)
     search.refuse_equalities(method)

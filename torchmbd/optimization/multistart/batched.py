@@ -27,8 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError
-from torchmbd.optimization.batch import Batch, begin_batch
+from torchmbd.optimization.batch import Batch, begin_batch, wrong_count
 from torchmbd.optimization.optimizer import Evaluation, Iterate, NonlinearProgram, OptimizationResult
 from torchmbd.optimization.search import EvaluateBatch, Interrupted, Report, Search
 
@@ -181,7 +180,7 @@ class BatchedSearches:
         evaluations = batch.evaluations()
         (designs, _), group.batch = group.parts.popleft(), None
         if len(evaluations) != len(designs):
-            raise InputError(f"problem.evaluate returned {len(evaluations)} evaluations for {len(designs)} designs")
+            raise wrong_count(evaluations, designs)
         group.evaluations += evaluations
         if group.parts:
             self._begin(group)

@@ -34,7 +34,7 @@ import cloudpickle
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, MbdError
+from torchmbd.errors import InputError, MbdError, not_installed
 from torchmbd.optimization.optimizer import Evaluation, NonlinearProgram, require_problem
 from torchmbd.process import THREADS, brief_warnings, cores, use_one_thread, worker_threads
 
@@ -85,8 +85,12 @@ class Workers:
 
             from torchmbd.optimization.multistart.local_cluster import start_local_cluster
         except ModuleNotFoundError as error:
-            raise InputError(
-                f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: one process"
+            raise not_installed(
+                "workers",
+                self._workers,
+                "the client of workers",
+                str(error.name),
+                "pip install 'torchmbd[cluster]', or one process",
             ) from None
         config.set(_SETTINGS | {"distributed.nanny.pre-spawn-environ": worker_threads()})
         for name in _SILENCED_LOGGERS:  # they write tracebacks; an MbdError reports what matters
@@ -272,7 +276,11 @@ def pickle_problem(problem: NonlinearProgram) -> tuple[bytes, torch.dtype]:
     except Exception as error:  # of whatever the problem holds
         allowed = "one that can be pickled, with responses that hold no locks, files or threads"
         raise InputError(
-            f"problem {problem!r} cannot be sent to other processes: {error}; allowed: {allowed}"
+            "problem",
+            problem,
+            allowed,
+            noun=f"problem {problem!r}",
+            state=f"cannot be sent to other processes: {error}",
         ) from error
 
 

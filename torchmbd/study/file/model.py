@@ -138,7 +138,7 @@ def build_model(builder: Builder, options: Mapping[str, Any]) -> System:
     with _user_code():
         system = builder(**options)
     if not isinstance(system, System):
-        raise InputError(f"the model returned {type(system).__name__}; allowed: a torchmbd.System")
+        raise InputError((), system, "a torchmbd.System", noun="the model", state=f"returned {type(system).__name__}")
     return system
 
 
@@ -150,7 +150,8 @@ def _user_code() -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        raise InputError(f"{type(error).__name__} in {user_line(error)}: {error}") from error
+        rule = f"raised {type(error).__name__} in {user_line(error)}: {error}"
+        raise InputError((), rule=rule, noun="the function") from error
 
 
 def scenario_systems(
@@ -175,17 +176,17 @@ def _from_name(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"module {name!r} cannot be imported: {error}; allowed: an importable module, or a Python file beside the "
-            "experiment file"
-        ) from None
+        allowed = "an importable module, or a Python file beside the experiment file"
+        raise _refused(name, f"module {name!r} cannot be imported: {error}; allowed: {allowed}") from None
     except Exception as error:
-        raise InputError(f"module {name!r} cannot be imported: {type(error).__name__}: {error}") from error
+        raise _refused(name, f"module {name!r} cannot be imported: {type(error).__name__}: {error}") from error
 
 
 def _from_file(file: Path) -> ModuleType:
     if not file.is_file():
-        raise InputError(f"file {file} does not exist; allowed: a Python file, relative to the experiment file")
+        raise _refused(
+            str(file), f"file {file} does not exist; allowed: a Python file, relative to the experiment file"
+        )
     module = _executed.get(file) or _imported_from(file)
     if module is not None:
         return module
@@ -201,7 +202,7 @@ def _from_file(file: Path) -> ModuleType:
             spec.loader.exec_module(module)
     except Exception as error:
         del _executed[file]
-        raise InputError(f"file {file} cannot be imported: {type(error).__name__}: {error}") from error
+        raise _refused(str(file), f"file {file} cannot be imported: {type(error).__name__}: {error}") from error
     return module
 
 

@@ -152,7 +152,12 @@ def _read(folder: Path) -> StudyState | None:
         return None
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
-            f"{folder / _FILE} cannot be read: {error}; allowed: remove {folder}, the study begins anew"
+            "file",
+            str(folder / _FILE),
+            "the file of a study",
+            noun=f"{folder / _FILE}",
+            state=f"cannot be read: {error}",
+            hint=f"remove {folder}, and the study begins anew",
         ) from error
 
 

@@ -76,7 +76,7 @@ def write_report(run: str, path: Path | None = None, uri: str | StoreURI | None 
             "output",
             str(path),
             "a file in one that exists",
-            state=f"= {str(path)!r}: there is no folder {str(path.parent)!r}",
+            state=f"= {str(path)!r}: the folder {str(path.parent)!r} does not exist",
         )
     with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
         path.write_text(_page(store, entry, Path(scratch)), encoding="utf-8")
@@ -130,8 +130,11 @@ def _require_files(store: StoreURI, entry: Entry) -> None:
     if missing := [name for name in written if name not in present]:
         text = few(missing)
         raise InputError(
-            f"run {entry.run_id[:8]} lacks {text} in {store}; allowed: a store with the whole of its folder mlartifacts "
-            "beside it"
+            "run",
+            entry.run_id,
+            "a store with the whole of its folder mlartifacts beside it",
+            noun=f"run {entry.run_id[:8]}",
+            state=f"lacks {text} in {store}",
         )
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.refused import warned
 from torchmbd.extensions.native.codegen import build_cache, compiler
 from torchmbd.process import cache_folder, require_cache_folder
 
@@ -76,7 +77,7 @@ def test_what_was_kept_is_loaded(folder: Path) -> None:
 @needs_compiler
 def test_a_library_from_elsewhere_is_not_loaded(folder: Path) -> None:
     """One that works, but that torchmbd has not built."""
-    with pytest.warns(UserWarning, match="is not what was built"):
+    with warned("is not what was built"):
         assert compiler.load(compiled(folder)) is None
 
 
@@ -87,7 +88,7 @@ def test_what_others_can_write_is_refused_once(folder: Path, target: str, mode: 
     file = build_cache.seal_and_store(made, folder / f"step-{'0' * 32}.so")
     assert build_cache.read_sealed(file) == b"code"
     (folder if target == "folder" else file).chmod(mode)
-    with pytest.warns(UserWarning, match="can be written by others; allowed: by you alone"):
+    with warned("written by others"):
         assert build_cache.read_sealed(file) is None
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -101,7 +102,7 @@ def test_what_another_user_owns_is_refused(folder: Path, monkeypatch: pytest.Mon
     file = build_cache.seal_and_store(made, folder / f"step-{'0' * 32}.so")
     own = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: own + 1)
-    with pytest.warns(UserWarning, match="belongs to another user; allowed: your own"):
+    with warned("another user"):
         assert build_cache.read_sealed(file) is None
 
 
@@ -109,7 +110,7 @@ def test_nothing_is_built_where_others_can_write(folder: Path) -> None:
     folder.chmod(0o777)
     assert "can be written by others" in str(compiler.unavailable())
     library = compiler.Native("extensions/native/compiled_products.cpp")
-    with pytest.warns(UserWarning, match="can be written by others"):
+    with warned("written by others"):
         assert library() is None
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # said once

@@ -63,7 +63,7 @@ def test_what_has_no_shape_is_refused():
     x = {"hold_b.stiffness": torch.tensor([300.0]).double()}
     equal = masses()
     equal.get_parameter("hold_b.stiffness").data.fill_(200.0)
-    with pytest.raises(mbd.DesignFailure, match="vibration 1 of the system as it was built has no shape to follow"):
+    with refused("number", 1, kind=mbd.DesignFailure):
         measured(mbd.SystemFrequency(1, follow=True), equal, x)
     with refused("number", 3):
         measured(mbd.SystemFrequency(3, follow=True), masses(), x)

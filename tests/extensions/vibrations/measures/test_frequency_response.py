@@ -14,7 +14,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.extensions.vibrations.measures.test_system_vibrations import carriage, measured
 from tests.extensions.vibrations.test_eigenvalues import angles_of, blade
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.design.response_spec import measure_of
 from torchmbd.extensions.identification.run import Run
 
@@ -128,7 +128,7 @@ def test_a_direction_of_the_ground_stands_still_while_the_machine_turns(directio
     assert float(largest.magnitude) == pytest.approx(abs(1.0 / (K - M * w * w + 1j * w * C)), rel=1e-9)
     turning = mbd.FrequencyResponse("disc", "disc", band, speed=speed, **ports)
     if speed:
-        with pytest.raises(mbd.InputError, match=r"observer = 'turning': .* output 1 .* Try: observer='ground'"):
+        with refused("observer", "turning", "output 1", "observer='ground'"):
             turning(motion)
     else:
         assert float(turning(motion)) == pytest.approx(float(largest.magnitude), rel=1e-9)
@@ -221,9 +221,7 @@ def test_the_largest_of_many_narrow_peaks():
 
 def test_without_damping_it_is_infinite():
     motion = short(mass(d=0.0))
-    with pytest.raises(
-        mbd.DesignFailure, match=r"infinite: a vibration of 5 rad/s in the band has no damping; allowed"
-    ):
+    with refused("band", ANY, "5 rad/s", kind=mbd.DesignFailure):
         mbd.FrequencyResponse("rail", "rail", (0.1, 10.0))(motion)
     assert float(mbd.FrequencyResponse("rail", "rail", (1.0, 2.0))(motion)) > 0.0
 
@@ -286,7 +284,5 @@ def test_a_response_of_zero_has_a_value_and_no_derivative():
     across = mbd.FrequencyResponse("load", "rail", (0.1, 10.0), direction="x")
     with torch.no_grad():
         assert across(short(system)).item() == 0.0
-    with pytest.raises(
-        mbd.DesignFailure, match="a response that is zero has no derivative; allowed: an output that the"
-    ):
+    with refused("output", kind=mbd.DesignFailure):
         across(short(system, gradients="reverse"))

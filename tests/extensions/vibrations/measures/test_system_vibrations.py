@@ -13,6 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.extensions.vibrations.test_eigenvalues import angles_of, blade
+from tests.refused import refused
 from torchmbd.design.words import heading
 
 pytestmark = pytest.mark.thorough
@@ -154,28 +155,28 @@ def test_designs_without_a_state_are_statuses():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "fault"),
     [
-        (lambda: mbd.SystemFrequency(0), "number is 0"),
-        (lambda: mbd.SystemFrequency(cluster=(1, 1)), "cluster is"),
-        (lambda: mbd.SystemFrequency(3, cluster=(1, 2)), "number is 3, and cluster is"),
-        (lambda: mbd.SystemFrequency(1, power=0.0), "power is 0"),
-        (lambda: mbd.SystemFrequency(1, speed=-1.0), "speed is -1"),
-        (lambda: mbd.DampingRatio(1, axis="w"), "axis"),
-        (lambda: mbd.DampingRatio(1, observer="moon"), "observer 'moon'"),
-        (lambda: mbd.StabilityMargin(sharpness=-1.0), "sharpness is -1"),
-        (lambda: mbd.CampbellClearance((0.0,), (1.0, 2.0)), "orders is 0"),
-        (lambda: mbd.CampbellClearance((1.0,), (1.0, 2.0), modes=([1],)), r"modes is \[1\]"),
-        (lambda: mbd.SystemFrequency(1, center="a"), "center is 'a'"),
-        (lambda: mbd.StabilityMargin(sharpness=1.0)(mbd.simulate(fixed(), 1e-4, steps=2)), "no freedom"),
-        (lambda: mbd.CampbellClearance((1.0,), (2.0, 1.0)), "band is"),
-        (lambda: mbd.CampbellClearance((1.0,), (1.0, 2.0), points=1), "points is 1"),
-        (lambda: mbd.SystemFrequency(9)(mbd.simulate(carriage(), 1e-4, steps=2)), "number is 9; allowed: 1 to 2"),
-        (lambda: mbd.DampingRatio(9)(mbd.simulate(carriage(), 1e-4, steps=2)), "number is 9; allowed: 1 to 2"),
+        (lambda: mbd.SystemFrequency(0), ("number", 0)),
+        (lambda: mbd.SystemFrequency(cluster=(1, 1)), ("cluster", (1, 1))),
+        (lambda: mbd.SystemFrequency(3, cluster=(1, 2)), ("number", 3)),
+        (lambda: mbd.SystemFrequency(1, power=0.0), ("power", 0.0)),
+        (lambda: mbd.SystemFrequency(1, speed=-1.0), ("speed", -1.0)),
+        (lambda: mbd.DampingRatio(1, axis="w"), ("axis", "w")),
+        (lambda: mbd.DampingRatio(1, observer="moon"), ("observer", "moon")),
+        (lambda: mbd.StabilityMargin(sharpness=-1.0), ("sharpness", -1.0)),
+        (lambda: mbd.CampbellClearance((0.0,), (1.0, 2.0)), ("orders", 0.0)),
+        (lambda: mbd.CampbellClearance((1.0,), (1.0, 2.0), modes=([1],)), ("modes", [1])),
+        (lambda: mbd.SystemFrequency(1, center="a"), ("center", "a")),
+        (lambda: mbd.StabilityMargin(sharpness=1.0)(mbd.simulate(fixed(), 1e-4, steps=2)), ("system",)),
+        (lambda: mbd.CampbellClearance((1.0,), (2.0, 1.0)), ("band", (2.0, 1.0))),
+        (lambda: mbd.CampbellClearance((1.0,), (1.0, 2.0), points=1), ("points", 1)),
+        (lambda: mbd.SystemFrequency(9)(mbd.simulate(carriage(), 1e-4, steps=2)), ("number",)),
+        (lambda: mbd.DampingRatio(9)(mbd.simulate(carriage(), 1e-4, steps=2)), ("number",)),
     ],
 )
-def test_bad_arguments_are_named(make, words):
-    with pytest.raises(mbd.InputError, match=words):
+def test_bad_arguments_are_named(make, fault):
+    with refused(*fault):
         make()
 
 

@@ -54,7 +54,8 @@ def compilation_wanted() -> bool:
 def unavailable() -> str | None:
     """The reason why code cannot be compiled or loaded here; None if it can."""
     if shutil.which(compiler()) is None:
-        return f"there is no C++ compiler ({compiler()!r}, which CXX names); eager steps are about ten times slower in batches"
+        missing = f"a C++ compiler is not installed ({compiler()!r}, which CXX names)"
+        return f"{missing}; eager steps are about ten times slower in batches"
     return build_cache.refusal(cache_folder())
 
 

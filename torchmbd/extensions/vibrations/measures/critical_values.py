@@ -62,7 +62,9 @@ def root(
         lambda *x: _search(g, dict(zip(designs, x, strict=True)), bracket, accuracy), *tensors
     )
     if not slope:
-        raise DesignFailure(f"{name} has no derivative at {p:g}: the curves touch and do not cross")
+        raise DesignFailure(
+            "between", p, "curves that cross", noun=name, state=f"has no derivative at {p:g}, where two curves touch"
+        )
     y = g(torch.tensor(p, dtype=torch.float64), designs, more, False)
     return p - (y - y.detach()) / slope
 
@@ -186,8 +188,12 @@ class CriticalSpeed(OfVibrations):
             if bool(several.any()):
                 i, k = several.nonzero()[0].tolist()
                 raise DesignFailure(
-                    f"no critical speeds: vibrations must be whirl of a round shaft, but a fixed observer sees several "
-                    f"frequencies of vibration {k + 1} at {float(speeds[i]):g} rad/s. Try: CampbellClearance for blades."
+                    "observer",
+                    shaft.observer,
+                    "a round shaft, whose vibrations whirl",
+                    noun="an observer at rest",
+                    state=f"sees several frequencies of vibration {k + 1} at {float(speeds[i]):g} rad/s",
+                    hint="CampbellClearance for blades",
                 )
             w = (w + seen.orders * speeds[:, None]).abs().sort(dim=1).values
         else:
@@ -205,15 +211,22 @@ class CriticalSpeed(OfVibrations):
         if len(crossings) < self.number:
             low, high = self.between
             raise DesignFailure(
-                f"critical speed {self.number} of order {self.order:g} is not between {low:g} and {high:g} rad/s, where "
-                f"{len(crossings)} are found; allowed: another range, or more points"
+                "between",
+                self.between,
+                "another range, or more points",
+                noun=f"critical speed {self.number} of order {self.order:g}",
+                state=f"is not between {low:g} and {high:g} rad/s, where {len(crossings)} are found",
             )
         crossings = sorted(crossings)[: self.number]
         for _, i, k in crossings:
             if bool(g[i : i + 2, k].isnan().any()):
                 raise DesignFailure(
-                    f"critical speed {self.number} is not known: between {float(speeds[i]):g} and {float(speeds[i + 1]):g} "
-                    f"rad/s frequency {k + 1} ends, because vibrations without damping grow. Try: another range."
+                    "between",
+                    self.between,
+                    "another range",
+                    noun=f"critical speed {self.number}",
+                    state=f"is not known: between {float(speeds[i]):g} and {float(speeds[i + 1]):g} rad/s "
+                    f"frequency {k + 1} ends, because vibrations without damping grow",
                 )
         _, i, k = crossings[-1]
         return float(speeds[i]), float(speeds[i + 1]), k
@@ -303,12 +316,18 @@ class StabilityLimit(OfVibrations):
                 return float(values[i]), float(values[i + 1]), None
             if bool(grows[i + 1] and not grows[i]):
                 raise DesignFailure(
-                    f"no limit of stability for {self.parameter}: at {float(values[i]):g}, before vibrations begin to grow, "
-                    "one neither decays nor grows; allowed: damping of all vibrations, and no free motion"
+                    "parameter",
+                    self.parameter,
+                    "damping of all vibrations, and no free motion",
+                    noun=f"{self.parameter} = {float(values[i]):g}",
+                    state="has a vibration that neither decays nor grows, before others begin to grow",
                 )
         low, high = self.between
         state = "vibrations grow at all values" if bool(grows.all()) else "no vibration begins to grow"
         raise DesignFailure(
-            f"no limit of stability for {self.parameter} between {low:g} and {high:g}: {state}; allowed: another range, or "
-            "more points"
+            "between",
+            self.between,
+            "another range, or more points",
+            noun=f"{self.parameter} between {low:g} and {high:g}",
+            state=f"has no limit of stability: {state}",
         )

@@ -68,8 +68,11 @@ def _shape(system: System, key: _Key) -> NodalShape:
     if spectrum.fault[i] or int((spectrum.cluster == spectrum.cluster[i]).sum()) > 1:
         why = spectrum.fault[i] or "one of several that coincide"
         raise DesignFailure(
-            f"vibration {number} of the system as it was built has no shape to follow: it is {why}; allowed: others, or "
-            "follow=False"
+            "number",
+            number,
+            "others, or follow=False",
+            noun=f"vibration {number} of the system as it was built",
+            state=f"has no shape to follow: it is {why}",
         )
     modes = {name: x[0].detach().clone() for name, x in states.modes.items()}
     shape = NodalShape(spectrum.right[:, i].clone(), states.dynamics.topology, modes)

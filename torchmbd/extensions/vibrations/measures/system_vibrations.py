@@ -72,13 +72,13 @@ class OfVibrations(Measure):
 
 
 def _numbers(name: str, numbers: object) -> tuple[int, ...]:
-    allowed = f"{name} is {numbers!r}; allowed: numbers of vibrations, each once, such as (2, 3)"
+    allowed = "numbers of vibrations, each once, such as (2, 3)"
     if not isinstance(numbers, (list, tuple)) or not numbers:
-        raise InputError(allowed)
+        raise InputError(name, numbers, allowed)
     for number in numbers:
         number_of(name, number)
     if len(set(numbers)) < len(numbers):
-        raise InputError(allowed)
+        raise InputError(name, numbers, allowed)
     return tuple(numbers)
 
 
@@ -225,7 +225,12 @@ class StabilityMargin(OfVibrations):
         states = self.states(motion, torch.tensor([float(self.speed)], dtype=torch.float64))
         growth = states.eigenvalues(POLES, None, self.sharpness is not None)[:, 0].real
         if not growth.shape[1]:
-            raise DesignFailure("no vibrations: the joints leave the system no freedom")
+            raise DesignFailure(
+                "system",
+                allowed="one degree of freedom at least",
+                noun="the system",
+                state="has no vibrations: its joints leave no degree of freedom",
+            )
         if self.sharpness is not None:
             return torch.logsumexp(self.sharpness * growth, -1) / self.sharpness
         # A conjugate pair counts once: the member with the larger imaginary part comes last.

@@ -106,7 +106,13 @@ def _vibration(rest: Equilibrium, number: Any, lane: int) -> tuple[Tensor, Tenso
         raise InputError("number", number, f"1 to {len(swinging)}, the vibrations of the system")
     k = int(swinging[number - 1])
     if spectrum.fault[k]:
-        raise InputError(f"vibration {number} has no shape of its own: it is {spectrum.fault[k]}; allowed: another")
+        raise InputError(
+            "number",
+            number,
+            "another vibration",
+            noun=f"vibration {number}",
+            state=f"has no shape of its own: it is {spectrum.fault[k]}",
+        )
     r = spectrum.right[:, k]
     return s[k], r * torch.exp(-0.5j * (r**2).sum().angle()) / r.abs().max()
 
