@@ -106,11 +106,11 @@ def static_truncation(system: System) -> StaticTruncation | None:
     >>> found.share < 0.02, found.body  # of the stiffness in the first vibrations
     (True, 'arm')
     """
-    T = system.topology
-    if not T.attached_flexible:
+    if not system.topology.attached_flexible:
         return None
     dynamics, stages = system.stages({})
     dynamics = dynamics.values().select_lanes([0])
+    T = dynamics.topology  # of the modes that the present design has
     with torch.no_grad():
         residuals = [x for x in (_residual(system, dynamics, stages, k) for k in range(T.flexible)) if x is not None]
         q, v = dynamics.start

@@ -154,6 +154,13 @@ def test_entries_follow_their_published_order():
         assert value == getattr(stiffness, name)[i, j]
 
 
+def test_one_design_in_a_batch_has_the_bits_of_a_design_without_lanes():
+    """Otherwise a body could not use the modes of its construction in its first motion."""
+    laminate = Laminate(CARBON, [0.3, -1.1, 0.7], 1e-3)
+    batch = functional_call(laminate, {name: x[None] for name, x in laminate.named_parameters()}, ())
+    assert torch.equal(batch[0], laminate.entries())
+
+
 @pytest.mark.parametrize(
     ("arguments", "path"),
     [

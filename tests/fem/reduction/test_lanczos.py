@@ -12,7 +12,7 @@ def largest(values: torch.Tensor, n: int, tolerance: float = 1e-12) -> Ritz | No
     make = torch.Generator().manual_seed(1)
     turn = torch.linalg.qr(torch.randn(size, size, generator=make, dtype=torch.float64))[0]
     H = (turn * values[:, None, :]) @ turn.T
-    return lanczos(lambda X: H @ X, len(values), size, n, tolerance)
+    return lanczos(lambda X: H @ X, (len(values), size), n, tolerance)[0]
 
 
 def spectrum(size: int) -> torch.Tensor:

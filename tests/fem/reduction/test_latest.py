@@ -68,8 +68,8 @@ def test_threads_with_one_key_take_nothing_from_each_other():
 @pytest.mark.thorough
 def test_a_body_and_its_first_motion_solve_for_modes_once(monkeypatch):
     solutions, factors = [], []
-    solved, factorized = cut.SparseModes, elimination._factorized
-    monkeypatch.setattr(cut, "SparseModes", lambda *x: solutions.append(1) or solved(*x))
+    solved, factorized = cut._cut_modes, elimination._factorized
+    monkeypatch.setattr(cut, "_cut_modes", lambda *x: solutions.append(1) or solved(*x))
     monkeypatch.setattr(elimination, "_factorized", lambda *x: factors.append(1) or factorized(*x))
     laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45.0, -45.0]), 1e-3)
     mesh = mbd.mesh.rectangle(length=0.4, width=0.1, cells=(16, 4))

@@ -71,6 +71,18 @@ def test_agrees_with_the_dense_route(shuffled, free, mass):
     torch.testing.assert_close(Z, Z_expected, rtol=1e-9, atol=1e-9 * Z_expected.abs().max().item())
 
 
+@pytest.mark.parametrize("free", [False, True])
+def test_more_modes_are_those_of_a_solution_that_begins_with_them(free):
+    K_form, K, M_form, M = problem(True, free, "diagonal")
+    modes, expected = SparseModes(K_form, M_form, K, M, 3), SparseModes(K_form, M_form, K, M, 6)
+    modes.more(6)
+    (values, psi), (expected_values, expected_psi) = modes.lowest(), expected.lowest()
+    torch.testing.assert_close(values[:, :6], expected_values[:, :6], rtol=1e-11, atol=1e-12)
+    torch.testing.assert_close(psi @ psi.mT, expected_psi @ expected_psi.mT, rtol=0, atol=1e-10)
+    F = torch.randn(LANES, N, 1, 6, generator=torch.Generator().manual_seed(8), dtype=torch.float64)
+    torch.testing.assert_close(modes.deflated_solve(F), expected.deflated_solve(F), rtol=0, atol=1e-9)
+
+
 def test_the_deflated_solve_satisfies_its_equation():
     K_form, K, M_form, M = problem(True, False, "sparse")
     modes = SparseModes(K_form, M_form, K, M, 4)

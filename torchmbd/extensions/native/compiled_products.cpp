@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <memory>
 #include <vector>
 
 // Numbers in a register; GCC keeps vectors that are wider than a register in memory, which made products eight times slower.
@@ -272,75 +273,108 @@ extern "C" void solve(long begin, long end, const Factor* f, const double* X, do
   }
 }
 
-// One strip of eight columns of L x = y, then L' z = x, in place. Columns of a supernode have the same rows below its triangle, so
-// that C of them change a row while it is in registers.
+// A strip of S columns of L x = y, then L' z = x, in place. The rows of x that a supernode has are gathered to be neighbors: its
+// columns, then the rows below its triangle. C of its columns change a row while it is in registers.
 namespace {
-constexpr int STRIP = 8, PARTS = STRIP / WIDTH;
+constexpr long STRIP = 16, FEW = 8;  // columns of a strip, and of one that is not filled
 
 struct Supernode {
   long column, width, rows;  // its first column; rows below its triangle
   const Int *below, *start;
   const double* values;
-  const double* beneath(long c) const { return values + start[column + c] + width - c; }
+  const double* at(long c) const { return values + start[column + c] - c; }  // entry i of column c is at(c)[i]
 };
 
-template <int C>
-void forward_below(const Supernode& s, long c, double* x) {
-  V here[C][PARTS];
-  const double* column[C];
-  for (int k = 0; k < C; k++) {
-    column[k] = s.beneath(c + k);
-    for (int w = 0; w < PARTS; w++) here[k][w] = *(const V*)(x + (s.column + c + k) * STRIP + WIDTH * w);
+template <int S>
+struct Strip {
+  static constexpr int PARTS = S / WIDTH;
+  static constexpr int C = WIDTH == 8 ? 6 : S == 8 ? 3 : 2;  // sums, numbers of C columns and a row in the registers
+
+  static V& part(double* x, long row, int w) { return *(V*)(x + row * S + WIDTH * w); }
+  static void subtract(double factor, double* x, long from, long to) {
+    for (int w = 0; w < PARTS; w++) part(x, to, w) -= factor * part(x, from, w);
   }
-  for (long i = 0; i < s.rows; i++)
-    for (int w = 0; w < PARTS; w++) {
-      V* to = (V*)(x + s.below[i] * STRIP + WIDTH * w);
-      V sum = *to;
-      for (int k = 0; k < C; k++) sum -= column[k][i] * here[k][w];
-      *to = sum;
+  static void divide(double* x, long row, double by) {
+    for (int w = 0; w < PARTS; w++) part(x, row, w) *= 1.0 / by;
+  }
+
+  // Columns c to c + K of L x = y, for all rows of the supernode.
+  template <int K>
+  static void forward(const Supernode& s, long c, double* x) {
+    const double* column[K];
+    for (int k = 0; k < K; k++) {
+      column[k] = s.at(c + k);
+      divide(x, c + k, column[k][c + k]);
+      for (int j = k + 1; j < K; j++) subtract(column[k][c + j], x, c + k, c + j);
     }
-}
-
-template <int C>
-void backward_below(const Supernode& s, long c, double* x) {
-  V sum[C][PARTS] = {};
-  const double* column[C];
-  for (int k = 0; k < C; k++) column[k] = s.beneath(c + k);
-  for (long i = 0; i < s.rows; i++)
-    for (int w = 0; w < PARTS; w++) {
-      const V from = *(const V*)(x + s.below[i] * STRIP + WIDTH * w);
-      for (int k = 0; k < C; k++) sum[k][w] += column[k][i] * from;
+    V here[K][PARTS];
+    for (int k = 0; k < K; k++)
+      for (int w = 0; w < PARTS; w++) here[k][w] = part(x, c + k, w);
+    const double* next = column[K - 1] + s.width + s.rows;  // the values of the next columns, which come from memory
+    for (long i = c + K; i < s.width + s.rows; i++) {
+      if (K == C) __builtin_prefetch(next + (i - c - K) * K);
+      for (int w = 0; w < PARTS; w++) {
+        V sum = part(x, i, w);
+        for (int k = 0; k < K; k++) sum -= column[k][i] * here[k][w];
+        part(x, i, w) = sum;
+      }
     }
-  for (int k = 0; k < C; k++)
-    for (int w = 0; w < PARTS; w++) *(V*)(x + (s.column + c + k) * STRIP + WIDTH * w) -= sum[k][w];
-}
-
-void subtract_row(double factor, const double* from, double* to) {
-  for (int w = 0; w < PARTS; w++) *(V*)(to + WIDTH * w) -= factor * *(const V*)(from + WIDTH * w);
-}
-
-void forward(const Supernode& s, double* x) {
-  for (long c = 0; c < s.width; c++) {
-    const double* column = s.values + s.start[s.column + c];
-    double* here = x + (s.column + c) * STRIP;
-    for (int k = 0; k < STRIP; k++) here[k] /= column[0];
-    for (long d = 1; c + d < s.width; d++) subtract_row(column[d], here, here + d * STRIP);
   }
-  long c = 0;
-  for (; c + 4 <= s.width; c += 4) forward_below<4>(s, c, x);
-  for (; c < s.width; c++) forward_below<1>(s, c, x);
-}
 
-void backward(const Supernode& s, double* x) {
-  long c = 0;
-  for (; c + 4 <= s.width; c += 4) backward_below<4>(s, c, x);
-  for (; c < s.width; c++) backward_below<1>(s, c, x);
-  for (c = s.width - 1; c >= 0; c--) {
-    const double* column = s.values + s.start[s.column + c];
-    double* here = x + (s.column + c) * STRIP;
-    for (long d = 1; c + d < s.width; d++) subtract_row(column[d], here + d * STRIP, here);
-    for (int k = 0; k < STRIP; k++) here[k] /= column[0];
+  // Columns c to c + K of L' z = x.
+  template <int K>
+  static void backward(const Supernode& s, long c, double* x) {
+    const double* column[K];
+    V sum[K][PARTS] = {};
+    for (int k = 0; k < K; k++) column[k] = s.at(c + k);
+    const double* next = column[0] + c;
+    for (long i = c + K; i < s.width + s.rows; i++) {
+      if (K == C) __builtin_prefetch(next - (i - c - K + 1) * K);
+      for (int w = 0; w < PARTS; w++) {
+        const V from = part(x, i, w);
+        for (int k = 0; k < K; k++) sum[k][w] += column[k][i] * from;
+      }
+    }
+    for (int k = K - 1; k >= 0; k--) {
+      for (int w = 0; w < PARTS; w++) part(x, c + k, w) -= sum[k][w];
+      for (int j = k + 1; j < K; j++) subtract(column[k][c + j], x, c + j, c + k);
+      divide(x, c + k, column[k][c + k]);
+    }
   }
+
+  static void gather(const Supernode& s, const double* x, double* local) {
+    std::memcpy(local, x + s.column * S, s.width * S * sizeof(double));
+    for (long i = 0; i < s.rows; i++) std::memcpy(local + (s.width + i) * S, x + s.below[i] * S, S * sizeof(double));
+  }
+
+  static void solve(const std::vector<Supernode>& nodes, double* x, double* local) {
+    for (auto s = nodes.begin(); s != nodes.end(); s++) {
+      gather(*s, x, local);
+      long c = 0;
+      for (; c + C <= s->width; c += C) forward<C>(*s, c, local);
+      for (; c < s->width; c++) forward<1>(*s, c, local);
+      std::memcpy(x + s->column * S, local, s->width * S * sizeof(double));
+      for (long i = 0; i < s->rows; i++) std::memcpy(x + s->below[i] * S, local + (s->width + i) * S, S * sizeof(double));
+    }
+    for (auto s = nodes.rbegin(); s != nodes.rend(); s++) {
+      gather(*s, x, local);
+      long c = s->width;
+      for (; c % C; c--) backward<1>(*s, c - 1, local);
+      for (; c > 0; c -= C) backward<C>(*s, c - C, local);
+      std::memcpy(x + s->column * S, local, s->width * S * sizeof(double));
+    }
+  }
+};
+
+// P' L'^-1 L^-1 P X for the columns of X [N][p] from one on.
+template <int S>
+void solve_strip(const std::vector<Supernode>& nodes, long N, const Int* order, const double* X, double* out, long p, long from,
+                 Buffer& x, Buffer& local) {
+  const long columns = std::min<long>(p - from, S);
+  for (long i = 0; i < N; i++)
+    for (long k = 0; k < S; k++) x[i * S + k] = k < columns ? X[order[i] * p + from + k] : 0.0;
+  Strip<S>::solve(nodes, x.data(), local.data());
+  for (long i = 0; i < N; i++) std::memcpy(out + order[i] * p + from, &x[i * S], columns * sizeof(double));
 }
 }  // namespace
 
@@ -348,18 +382,18 @@ void backward(const Supernode& s, double* x) {
 extern "C" void solve_supernodes(long begin, long end, long N, long supernodes, const Int* first, const Int* below_start,
                                  const Int* below, const Int* start, const Int* order, const double* values, const double* X,
                                  double* out, long p) {
-  Buffer x(N * STRIP);
-  const auto node = [&](long s) {
-    const long rows = below_start[s + 1] - below_start[s];
-    return Supernode{first[s], first[s + 1] - first[s], rows, below + below_start[s], start, values};
-  };
+  const long widest = p > FEW ? STRIP : FEW;
+  std::vector<Supernode> nodes;
+  long most = 0;
+  for (long s = 0; s < supernodes; s++) {
+    const long rows = below_start[s + 1] - below_start[s], width = first[s + 1] - first[s];
+    nodes.push_back({first[s], width, rows, below + below_start[s], start, values});
+    most = std::max(most, width + rows);
+  }
+  Buffer x(N * widest), local(most * widest);
   for (long strip = begin; strip < end; strip++) {
-    const long from = strip * STRIP, columns = std::min<long>(p - from, STRIP);
-    for (long i = 0; i < N; i++)
-      for (long k = 0; k < STRIP; k++) x[i * STRIP + k] = k < columns ? X[order[i] * p + from + k] : 0.0;
-    for (long s = 0; s < supernodes; s++) forward(node(s), x.data());
-    for (long s = supernodes - 1; s >= 0; s--) backward(node(s), x.data());
-    for (long i = 0; i < N; i++) std::memcpy(out + order[i] * p + from, &x[i * STRIP], columns * sizeof(double));
+    const long from = strip * STRIP;
+    (p - from > FEW ? solve_strip<STRIP> : solve_strip<FEW>)(nodes, N, order, X, out, p, from, x, local);
   }
 }
 
@@ -616,6 +650,10 @@ struct Front {
   double* at;
   long r, P;
 
+  void clear() const {  // with what `subtract` computes above the diagonal and is not used
+    for (long c = 0; c < r; c++) std::fill(at + c * P + std::max(c - 24, 0L), at + (c + 1) * P, 0.0);
+  }
+
   // Subtracts from columns j0 ... j1 their products with columns c0 ... c1, from row j0 on.
   void subtract(long c0, long c1, long j0, long j1) const {
     constexpr long widest = WIDTH == 8 ? 24 : 8;
@@ -668,6 +706,29 @@ struct Front {
 };
 }  // namespace
 
+namespace {
+struct Run {  // rows of a front that are neighbors, also in a child
+  int begin, end;
+};
+
+// The most numbers that wait for their parents at a time.
+long most_waiting(const std::vector<int>& node, long supernodes, const Int* below_start, const Int* below) {
+  Children children(supernodes);
+  std::vector<long> from(supernodes);
+  long waits = 0, most = 0;
+  for (long s = 0; s < supernodes; s++) {
+    const long beneath = below_start[s + 1] - below_start[s];
+    for (int c = children.head[s]; c >= 0; c = children.next[c]) waits = std::min(waits, from[c]);
+    if (!beneath) continue;
+    from[s] = waits;
+    waits += beneath * (beneath + 1) / 2;
+    most = std::max(most, waits);
+    children.add(node[below[below_start[s]]], s);
+  }
+  return most;
+}
+}  // namespace
+
 // Values of L [lane][entries] for A [lane][nnz], whose pattern has both triangles: multifrontal, children before their parents.
 // pivot [lane]: the smallest relative to its diagonal entry, -1 where one is not positive.
 extern "C" void factorize_supernodes(long begin, long end, long N, long supernodes, const int* indptr, const int* indices,
@@ -675,24 +736,26 @@ extern "C" void factorize_supernodes(long begin, long end, long N, long supernod
                                      const Int* order, const double* A, double* L, double* pivot) {
   const std::vector<int> inverse = inverse_of(order, N), node = node_of_column(first, supernodes, N);
   std::vector<int> place(N);
+  std::vector<Run> runs;
   long largest = 0;
   for (long s = 0; s < supernodes; s++) {
     const long r = first[s + 1] - first[s] + below_start[s + 1] - below_start[s];
     largest = std::max(largest, r * (padded(r) + 8));
   }
-  Buffer numbers(largest), waiting, pivots, diagonal;
-  std::vector<size_t> waiting_from(supernodes);
+  const std::unique_ptr<double[]> waiting(new double[most_waiting(node, supernodes, below_start, below)]);
+  Buffer numbers(largest), pivots, diagonal;
+  std::vector<long> waiting_from(supernodes);
   for (long lane = begin; lane < end; lane++) {
     const double* values = A + lane * indptr[N];
     double* to = L + lane * start[N];
     Children children(supernodes);
-    waiting.clear();
+    long waits = 0;
     pivot[lane] = INFINITY;
     for (long s = 0; s < supernodes && pivot[lane] >= 0.0; s++) {
       const long width = first[s + 1] - first[s], beneath = below_start[s + 1] - below_start[s], r = width + beneath;
       const Front front{numbers.data(), r, padded(r) + 8};
       const Int* rows = below + below_start[s];
-      std::fill(front.at, front.at + r * front.P, 0.0);
+      front.clear();
       for (long t = 0; t < width; t++) place[first[s] + t] = (int)t;
       for (long t = 0; t < beneath; t++) place[rows[t]] = (int)(width + t);
       pivots.assign(width, 0.0), diagonal.assign(width, 0.0);
@@ -704,25 +767,29 @@ extern "C" void factorize_supernodes(long begin, long end, long N, long supernod
         }
         diagonal[t] = front.at[t * front.P + t];
       }
-      size_t from = waiting.size();
       for (int c = children.head[s]; c >= 0; c = children.next[c]) {
-        const Int *at = below + below_start[c], count = below_start[c + 1] - below_start[c];
-        const double* sum = waiting.data() + waiting_from[c];
-        from = std::min(from, waiting_from[c]);
-        for (long j = 0; j < count; j++) {
-          double* column = front.at + place[at[j]] * front.P;
-          for (long i = j; i < count; i++) column[place[at[i]]] += *sum++;
-        }
+        const double* sum = waiting.get() + waiting_from[c];
+        waits = std::min(waits, waiting_from[c]);
+        runs.clear();
+        for (long e = below_start[c]; e < below_start[c + 1]; e++)
+          if (runs.size() && place[below[e]] == runs.back().end) runs.back().end++;
+          else runs.push_back({place[below[e]], place[below[e]] + 1});
+        for (size_t first_run = 0; first_run < runs.size(); first_run++)
+          for (int j = runs[first_run].begin; j < runs[first_run].end; j++) {
+            double* column = front.at + j * front.P;
+            for (int i = j; i < runs[first_run].end; i++) column[i] += *sum++;
+            for (size_t run = first_run + 1; run < runs.size(); run++)
+              for (int i = runs[run].begin; i < runs[run].end; i++) column[i] += *sum++;
+          }
       }
-      waiting.resize(from);
       const long weak = front.factorize(width, pivots.data());
       for (long t = 0; t < (weak < 0 ? width : weak); t++) pivot[lane] = std::min(pivot[lane], pivots[t] / std::abs(diagonal[t]));
       if (weak >= 0) pivot[lane] = -1.0;
       for (long t = 0; t < width; t++) std::memcpy(to + start[first[s] + t], front.at + t * front.P + t, (r - t) * sizeof(double));
       if (!beneath) continue;
-      waiting_from[s] = waiting.size();
-      waiting.resize(waiting.size() + beneath * (beneath + 1) / 2);
-      double* sum = waiting.data() + waiting_from[s];
+      waiting_from[s] = waits;
+      double* sum = waiting.get() + waits;
+      waits += beneath * (beneath + 1) / 2;
       for (long t = width; t < r; t++, sum += r + 1 - t) std::memcpy(sum, front.at + t * front.P + t, (r - t) * sizeof(double));
       children.add(node[rows[0]], s);
     }

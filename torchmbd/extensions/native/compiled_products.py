@@ -22,7 +22,7 @@ from torchmbd.math.sparse import Pattern
 from torchmbd.math.threads import run_blocks
 
 SMALL = 1_000_000  # products that take less time than to wake another thread, about 0.1 ms
-STRIP = 8  # columns that a sparse factor solves for together, as in compiled_products.cpp
+STRIP = 16  # columns that a sparse factor solves for together, as in compiled_products.cpp
 _native = Native("extensions/native/compiled_products.cpp")
 
 

@@ -329,7 +329,8 @@ class Laminate(nn.Module):
     @staticmethod
     def _integrals(H: tuple[Tensor, ...], Qbar: Tensor) -> tuple[Tensor, ...]:
         """A, B, D."""
-        return (torch.stack(H, -2) @ Qbar.flatten(-2)).unflatten(-1, (3, 3)).unbind(-3)
+        # A single matrix product has other rounding than a batch, and a body could not use its modes in its first motion.
+        return torch.einsum("...mk,...kj->...mj", torch.stack(H, -2), Qbar.flatten(-2)).unflatten(-1, (3, 3)).unbind(-3)
 
     def _moments(self) -> tuple[Tensor, Tensor, Tensor]:
         """Integrals of 1, z, z^2 over each layer [m, m2, m3], shape [..., layers]."""

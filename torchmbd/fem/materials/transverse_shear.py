@@ -54,10 +54,11 @@ def shear_shape(
     D: Float[Tensor, "*lanes 3 3"],
 ) -> ShearShape:
     """Return F of a laminate: ply stiffness in plate axes, heights of bottom and top of each layer, and its A, B, D."""
+    A, B, D = (x.unsqueeze(-3) for x in (A, B, D))  # single matrices have products of other rounding than batches
     compliance = torch.linalg.inv(A) @ B  # not solve: its tangents in a batch of torch.func.vmap are wrong (torch 2.13)
     curvature = torch.linalg.inv(D - B @ compliance)[..., :2]  # columns: of M_xx,x and of M_yy,y
     strain = -compliance @ curvature
-    constant, linear = _gradients(Qbar.unsqueeze(-4) @ torch.stack([strain, curvature], -3).unsqueeze(-3)).unbind(-4)
+    constant, linear = _gradients(Qbar.unsqueeze(-4) @ torch.stack([strain, curvature], -4)).unbind(-4)
     start, end = faces.unbind(-1)
     top = _growth(constant, linear, start, end).cumsum(-3)
     bottom = torch.cat([torch.zeros_like(top[..., :1, :, :]), top[..., :-1, :, :]], dim=-3)

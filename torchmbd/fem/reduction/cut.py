@@ -92,8 +92,9 @@ def _cut_modes(pencil: Pencil, n: int, more: int, cluster: float, K: Tensor, M: 
     if not near.any():
         return modes
     K, M, solved = K[near], M[near], most
+    fewer = modes if near.all() else None
     while True:
-        wide = _solved(pencil, solved, K, M)
+        fewer = wide = _solved(pencil, solved, K, M, fewer)
         counts, unknown = _Gaps.of(pencil, wide, cluster, K, M).counts(n, most, solved)
         if not unknown.any():
             break
@@ -133,10 +134,16 @@ def cut_error(pencil: Pencil, modes: Modes, n: int, more: int, cluster: float, K
     return CutCluster(("modes",), n, rule, f"modes = {beyond}", tuple(lanes), beyond, noun)
 
 
-def _solved(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> DenseModes | SparseModes:
-    """The n lowest modes, and the eigenvalue of one more if there is one."""
+def _solved(
+    pencil: Pencil, n: int, K: Tensor, M: Tensor, fewer: DenseModes | SparseModes | None = None
+) -> DenseModes | SparseModes:
+    """The n lowest modes, and the eigenvalue of one more if there is one; `fewer` modes of K, M are continued."""
     if pencil.K_form.size > max(SMALL, 12 * n):
-        modes = SparseModes(pencil.K_form, pencil.M_form, K, M, n)
+        if isinstance(fewer, SparseModes):
+            modes = fewer
+            modes.more(n)
+        else:
+            modes = SparseModes(pencil.K_form, pencil.M_form, K, M, n)
         if not modes.exhausted:
             return modes
     return DenseModes(pencil.K_form, pencil.M_form, K, M, n)

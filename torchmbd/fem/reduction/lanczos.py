@@ -65,10 +65,17 @@ class Recurrence:
 
     def reserve(self, steps: int) -> None:
         """Allocate the columns of so many steps."""
-        if (missing := steps * self.X.shape[2] - self.Q.shape[2]) > 0:
-            pad = torch.nn.functional.pad
-            self.Q = pad(self.Q.mT, (0, 0, 0, missing)).mT if self._by_columns else pad(self.Q, (0, missing))
-            self.T = torch.nn.functional.pad(self.T, (0, missing, 0, missing))
+        missing = steps * self.X.shape[2] - self.Q.shape[2]
+        if missing <= 0:
+            return
+        pad = torch.nn.functional.pad
+        if self._by_columns:  # memory of columns that no step fills is never touched
+            lanes, size, columns = self.Q.shape
+            filled, self.Q = self.Q, self.Q.new_empty(lanes, columns + missing, size).mT
+            self.Q[..., :columns] = filled
+        else:
+            self.Q = pad(self.Q, (0, missing))
+        self.T = pad(self.T, (0, missing, 0, missing))
 
     def extend(self, apply: Callable[[Tensor], Tensor], steps: int) -> None:
         """Continue to so many steps in all."""
@@ -91,26 +98,29 @@ class Recurrence:
 
 def lanczos(
     apply: Callable[[Tensor], Tensor],
-    lanes: int,
-    size: int,
+    start: tuple[int, int] | Recurrence,
     n: int,
     tolerance: float,
     extend: Callable[[Recurrence, int], None] | None = None,
-) -> Ritz | None:
+) -> tuple[Ritz | None, Recurrence]:
     """Iterate until n pairs in every lane have residuals below tolerance, relative to mu.
 
+    start:  lanes and rows, or the recurrence of fewer pairs, which is continued
     extend: a faster implementation of `Recurrence.extend` with `apply`
-    Returns None when the Krylov space fills half of the whole space before that: a dense method is faster then.
+    Returns None for the pairs when the Krylov space fills half of the whole space before that: a dense method is faster then.
     """
     by_columns = extend is None
     extend = extend or (lambda recurrence, steps: recurrence.extend(apply, steps))
-    ritz = _iterate(extend, Recurrence(_random(lanes, size, BLOCK), by_columns), n, tolerance)
+    recurrence = start if isinstance(start, Recurrence) else Recurrence(_random(*start, BLOCK), by_columns)
+    ritz = _iterate(extend, recurrence, n, tolerance)
     if ritz is not None:
+        lanes, size, p = recurrence.X.shape
         mu = ritz.mu[:, : n + 1]
-        first, last = mu[:, : 1 - BLOCK], mu[:, BLOCK - 1 :]  # of as many neighbors as a block has columns
+        first, last = mu[:, : 1 - p], mu[:, p - 1 :]  # of as many neighbors as a block has columns
         if (first - last <= CLOSE * first).any() and misses_eigenvector(apply, ritz, n):
-            ritz = _iterate(extend, Recurrence(_random(lanes, size, n + 2), by_columns), n, tolerance)
-    return ritz
+            recurrence = Recurrence(_random(lanes, size, n + 2), by_columns)
+            ritz = _iterate(extend, recurrence, n, tolerance)
+    return ritz, recurrence
 
 
 def _random(lanes: int, size: int, columns: int) -> Tensor:
@@ -130,12 +140,12 @@ def _iterate(
     extend: Callable[[Recurrence, int], None], recurrence: Recurrence, n: int, tolerance: float
 ) -> Ritz | None:
     lanes, size, p = recurrence.X.shape
-    steps, room, ahead = max(4 * (n + 2) // p, 2), 0, False
+    steps, ahead = max(4 * (n + 2) // p, 2, recurrence.steps), False
     while steps <= size // (2 * p):
-        if steps > room:
-            room = 2 * steps  # to move the columns costs as much as a step
-            recurrence.reserve(room)
-        extend(recurrence, steps)
+        if steps > recurrence.steps:
+            if steps * p > recurrence.Q.shape[2]:
+                recurrence.reserve(2 * steps)  # to move the columns costs as much as a step
+            extend(recurrence, steps)
         for stride in dict.fromkeys((max(lanes // SAMPLE, 1), 1)):
             ritz = recurrence.ritz(stride)
             excess = _excess(ritz, n, tolerance)

@@ -44,24 +44,33 @@ class SparseModes:
     complete = False  # some eigenvalues are known
 
     def __init__(self, K_form: Form, M_form: Form, K: Tensor, M: Tensor, n: int) -> None:
-        self.n, self.layout = n, layout(K_form, M_form)
+        self.layout = layout(K_form, M_form)
         self.root = root(self.layout, M_form, M)
+        self._matrices, self._start = (K_form, K, M_form, M), (len(K), len(self.layout.order))
+        self.shift, self.factor = choose_shift(K_form.diagonal(K), M_form.diagonal(M), self._factorized)
+        ritz = self._iterate(self._start, n, 1e-3 if self.shift.any() else TOLERANCE)
+        self._take(ritz, n, self.shift)
 
-        def shifted(shift: Tensor) -> tuple[Factor, Tensor]:
-            factor = factorize(self.layout, K_form, K, M_form, M, shift)
-            return factor, factor.pivot
+    def _factorized(self, shift: Tensor) -> tuple[Factor, Tensor]:
+        """The factor of K - shift M, and its smallest pivots [lane]."""
+        factor = factorize(self.layout, *self._matrices, shift)
+        return factor, factor.pivot
 
-        self.shift, self.factor = choose_shift(K_form.diagonal(K), M_form.diagonal(M), shifted)
-        ritz = self._iterate(len(K), 1e-3 if self.shift.any() else TOLERANCE)
-        if ritz is not None and (near := loses_digits(self.shift, ritz.mu[:, : n + 1])).any():
+    def more(self, n: int) -> None:
+        """Solve for more modes: the iteration continues."""
+        self._take(self._iterate(self._recurrence, n, TOLERANCE), n, torch.zeros_like(self.shift))
+
+    def _take(self, ritz: Ritz | None, n: int, first_shift: Tensor) -> None:
+        """Retain n modes, solved for once more where a shift is too near the spectrum; first_shift: 0 if it was replaced."""
+        if ritz is not None and (near := loses_digits(first_shift, ritz.mu[:, : n + 1])).any():
             self.shift = comparable_shift(near, self.shift, self.shift[:, None] + 1 / ritz.mu[:, : n + 1])
-            self.factor, _ = shifted(self.shift)
-            ritz = self._iterate(len(K), TOLERANCE)
+            self.factor, _ = self._factorized(self.shift)
+            ritz = self._iterate(self._start, n, TOLERANCE)
         self.exhausted = ritz is None
         if ritz is not None:
             known = int((ritz.residuals() < KNOWN).sum(1).min())
             self.ritz, self._vectors = ritz, ritz.Q @ ritz.V[..., : max(known, n + 1)]
-            self.retain(torch.full((len(K),), n))
+            self.retain(torch.full((len(ritz.mu),), n))
 
     def retain(self, counts: Tensor) -> None:
         """Retain so many of the lowest modes of each lane [lane], at most as many as were solved for."""
@@ -73,9 +82,10 @@ class SparseModes:
         if first < n:
             self.U, self.known = torch.where(self.retained, self.U, 0.0), torch.where(self.discarded, self.known, 0.0)
 
-    def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
+    def _iterate(self, start: tuple[int, int] | Recurrence, n: int, tolerance: float) -> Ritz | None:
         extend = None if self._compiled(self.shift) is None else self._extend
-        return lanczos(self._apply, lanes, len(self.layout.order), self.n, tolerance, extend)
+        ritz, self._recurrence = lanczos(self._apply, start, n, tolerance, extend)
+        return ritz
 
     def _extend(self, recurrence: Recurrence, steps: int) -> None:
         """Extend as `Recurrence.extend`, by compiled code."""
