@@ -53,7 +53,7 @@ def _stations(path: str | Path) -> list[np.ndarray]:
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
     total = next((line.split()[0] for line in lines if "station_total" in line), "")
     start = next((k for k, line in enumerate(lines) if "distributed properties" in line.lower()), None)
-    allowed = "a BeamDyn blade file, with station_total and Distributed Properties"
+    allowed = "a BeamDyn blade file with station_total and a section Distributed Properties"
     if start is None or not total.isdecimal() or int(total) < 2:
         raise InputError(
             file.name, allowed=f"{allowed}, two stations at least", state=f"has no stations, station_total {total!r}"

@@ -144,7 +144,7 @@ def _warn_inaccurate(error: Tensor) -> None:
     """Warn of lanes whose gradients have a large estimated relative error [lanes]."""
     for lane in torch.nonzero(error > INACCURATE)[:, 0].tolist():
         warn(
-            f"lane {lane}: the adjoint leaves an error of {float(error[lane]):.1e} of its gradients; more steps help, "
+            f"lane {lane}: gradients of the adjoint have a relative error of {float(error[lane]):.1e}. Try: more steps, "
             "or gradients='forward'",
         )
 

@@ -209,7 +209,10 @@ def _corners(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners [2^n, n] of the box; they have equal rights."""
     moved = np.flatnonzero(d)
     if 2**moved.size > MAX_CORNERS:
-        rule = f": {moved.size} variables have {2**moved.size} corners; allowed: {MAX_CORNERS}"
+        rule = (
+            f": the tolerances of {moved.size} variables have {2**moved.size} combinations of lower and upper limits; "
+            f"must be at most {MAX_CORNERS}"
+        )
         raise InputError("tolerance", rule=rule)
     corners = np.zeros((2**moved.size, d.size))
     corners[:, moved] = np.array(list(product((-1.0, 1.0), repeat=moved.size))) * d[moved]

@@ -47,7 +47,7 @@ def table(
         _add(columns, _columns(motion, name))
     for heading, history in (histories or {}).items():
         if not isinstance(heading, str):
-            raise InputError("histories", heading, rule="must have words as headings", noun="a heading of histories")
+            raise InputError("histories", heading, rule="must be a str", noun="a heading of histories")
         if not callable(history):
             raise InputError(("histories", heading), history, rule="must be a history of a motion")
         x = history(motion)

@@ -44,7 +44,7 @@ def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, s
     if scheduler is not None and scheduler.endswith((".yaml", ".yml")):
         slurm = load_cluster(scheduler)
         if not workers:
-            raise InputError("workers", 0, rule="must be 1 or more, of all jobs together, with a cluster file")
+            raise InputError("workers", 0, rule="must be 1 or more with a cluster file: all jobs together")
         if shutil.which("sbatch") is None:
             raise InputError(
                 "scheduler",

@@ -107,9 +107,7 @@ def run_figures(
         raise InputError(
             "workers",
             workers,
-            "torchmbd run without them",
-            state="are drawn in one process",
-            noun="workers and scheduler: figures",
+            rule="must be left out, like scheduler, because one process draws the figures",
         )
     origin, where = (plan.source.path, plan.source.overrides), (plan.data.tracking.experiment, uri or plan.uri)
     key = partial(figures_key, plan)

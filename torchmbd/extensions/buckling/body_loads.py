@@ -57,8 +57,8 @@ def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
         if any(x is not y for x, y in zip(phase_laws, laws, strict=True)):
             raise InputError(
                 "phases",
-                allowed="none",
-                state="have laws of forces of their own",
+                allowed="phases without laws={...}",
+                state="replace laws of forces",
                 noun=f"loads on {body.name!r}: phases of this motion",
             )
     of_body = changes_of(motion, body)

@@ -81,7 +81,7 @@ class BucklingIndex(History):
                 str(self.body),
                 allowed="a FlexibleBody of elements",
                 noun=f"body {self.body!r}",
-                state="is a flexible beam, which buckles in its motion",
+                state="is a flexible beam, whose motion itself shows the buckling",
             )
         body = flexible_body(system, self.body)
         series, key = _SERIES.setdefault(body, {}), digest(self.supports)

@@ -140,7 +140,10 @@ class _Search:
                     return _Shapes(V, y, scale)
                 residual = exact
             V = self._grown(V, residual)
-        warn(f"buckling of {self.name!r}: shapes of all times are found to {error.max() / scale:.1e} only")
+        warn(
+            f"buckling of {self.name!r}: the shapes of some times have a residual of {error.max() / scale:.1e}, "
+            "so the indices may be inaccurate"
+        )
         return _Shapes(V, y, scale)
 
     def _exact(self, time: int) -> np.ndarray:

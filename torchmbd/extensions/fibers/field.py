@@ -118,7 +118,7 @@ class FiberField:
         if len(cells) != len(self.cells) or bool((row < 0).any()):
             raise InputError(
                 "field",
-                allowed=f"the {len(cells)} that it lies on",
+                allowed=f"the {len(cells)} cells that the laminate covers",
                 state=f"is for {len(self.cells)} cells",
                 noun="field of a laminate",
             )

@@ -99,7 +99,11 @@ class SteeredLaminate(Laminate):
         )
         if self._plies.vary:
             raise InputError(
-                "ply", ply, "plies of numbers", noun="ply of a SteeredLaminate", state="has numbers that vary"
+                "ply",
+                ply,
+                "plies whose constants are not mbd.variable(...)",
+                noun="ply of a SteeredLaminate",
+                state="has design variables",
             )
         check_angles("angles", theta.flatten().tolist(), "SteeredLaminate: ")
         if varies and not bool((t > 0.0).all() and t.isfinite().all()):

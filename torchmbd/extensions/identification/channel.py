@@ -117,5 +117,5 @@ def checked_deviation(what: str | Path, deviation: Any) -> float | np.ndarray:
     except (TypeError, ValueError):
         values = np.zeros(1)
     if values.ndim != 1 or not (values > 0.0).all() or not np.isfinite(values).all():
-        raise InputError(str(what), deviation, "positive numbers, one or one for each row")
+        raise InputError(str(what), deviation, "a positive number, or a positive number for each row")
     return values

@@ -392,7 +392,7 @@ def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequ
                 )
                 raise InputError(("unknowns", name), rule=rule, noun=noun)
             if any(name in measurement.sets for measurement in x.measurements):
-                rule = f"is a load of experiment {key!r}, which is measured; allowed: others"
+                rule = f"is a measured load of experiment {key!r}; allowed: parameters that are not measured"
                 raise InputError(("unknowns", name), rule=rule, noun=f"unknown {name!r}")
             if name in of_system and of_system[name].shape != every[name].shape:
                 rule = (

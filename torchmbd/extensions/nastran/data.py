@@ -363,7 +363,7 @@ def _mass(card: Card) -> Mass:
     products = [card.real(k, name, 0.0) for k, name in ((10, "I21"), (12, "I31"), (13, "I32"))]
     if any(products) or max(principal) != min(principal):
         mean = sum(principal) / 3.0
-        warn(f"{card}: inertias {principal}, products {products}; taken as {mean:g} about any axis")
+        warn(f"{card}: inertias {principal}, products {products}; torchmbd uses their mean, {mean:g}, about every axis")
     x, y, z = offsets
     return Mass(card, card.integer(2, "G"), card.real(4, "M"), sum(principal) / 3.0, (x, y, z), system)
 

@@ -95,7 +95,10 @@ def _used(data: BulkData) -> list[int]:
     loose = [mass for mass in data.masses if mass.grid not in used]
     if loose:
         total = sum(mass.mass for mass in loose)
-        warn(f"{loose[0].card}: no element holds its grid; {len(loose)} CONM2 of {total:g} in all are left out")
+        warn(
+            f"{loose[0].card}: no element is attached to its grid; torchmbd leaves out {len(loose)} CONM2 with a total mass "
+            f"of {total:g}"
+        )
         data.masses[:] = [mass for mass in data.masses if mass.grid in used]
     return [grid for grid in data.grids if grid in used]
 

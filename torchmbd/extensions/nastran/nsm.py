@@ -69,7 +69,7 @@ def _chosen(data: BulkData, control: Control | None) -> list[Card]:
     if control is None:
         names = [str(number) for number in sorted((sets.keys() | unions.keys()) - parts)]
         if len(names) == 1:
-            warn(f"set {names[0]} of NSM is taken: the file has no case control, which would choose it")
+            warn(f"torchmbd uses set {names[0]} of NSM, because the file has no case control that chooses a set")
     else:
         names = list(control.chosen.get("NSM", {}))
         if not names:

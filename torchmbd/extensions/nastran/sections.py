@@ -147,7 +147,7 @@ def _beam(card: Card) -> tuple[SectionNumbers, float]:
     places = [card.real(start + 8 + k, f"field {start + 8 + k}", 0.0) for k in range(8)]
     center = (_mean_of_ends(card, "N1", places[4], places[6]), _mean_of_ends(card, "N2", places[5], places[7]))
     if any(places[:4]) and extra:
-        warn(f"{card}: its mass without stiffness lies at M1, M2; taken at the neutral axis")
+        warn(f"{card}: its nonstructural mass lies at M1, M2; torchmbd puts it on the neutral axis")
     if card.text(start + 16):
         raise wrong_entry(card, f"field {start + 16} is {card.text(start + 16)}", "stations, K1 to CW, M1 to N2")
     return SectionNumbers(A, I1, I2, I12, J, K1, K2, center), extra

@@ -138,7 +138,7 @@ def _continuations(text: DeckText, first: int, card: Card) -> list[int]:
         if kind == "repetition":
             raise InputError(
                 (card.name, card.fields[0]),
-                rule="repeats another card, or is repeated (=): must stand alone, as it changes",
+                rule="repeats another card, or another card repeats it (=): must be written out, because its numbers change",
                 hint="a deck whose cards are written out",
                 noun=f"{card.name} {card.fields[0]}",
             )

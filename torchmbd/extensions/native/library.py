@@ -148,7 +148,9 @@ def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
     [name] = _load(known, [kind])
     if name in _failed and name not in _warned:
         _warned.add(name)
-        warn(f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}")
+        warn(
+            f"there is no native code of the {kind}, so simulations use the slower operators of torch: {_failed[name]}"
+        )
     code = _loaded.get(name)
     return None if code is None else Library(code, _mechanism(dynamics.topology, known, kind, name, code))
 

@@ -174,7 +174,7 @@ def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signa
     if not outputs:
         raise InputError("outputs", outputs, "at least one signal", state="is empty")
     if any(isinstance(signal, Time) for signal in outputs):
-        raise InputError("outputs", outputs, "signals of the motion", state="has the time")
+        raise InputError("outputs", outputs, "signals of the motion", state="contains mbd.signals.Time()")
     return inputs, outputs
 
 

@@ -128,9 +128,9 @@ class BeamLine:
             raise InputError(
                 "nodes",
                 nodes,
-                "numbers, or straight elements",
+                "nodes that do not vary, or a line without middles (straight elements)",
                 noun="nodes of a BeamLine",
-                state="vary and it has middles",
+                state="are design variables, but the line has middles (arcs)",
             )
         _check_nodes(self.nodes)
         chain = np.array(list(pairwise(range(len(self.nodes)))))

@@ -68,7 +68,7 @@ class Orthotropic:
             raise InputError(
                 "nu12",
                 numbers.nu12,
-                "|nu_ij| < sqrt(E_i / E_j), and the determinant of the three normal strains positive",
+                "|nu_ij| < sqrt(E_i / E_j), and a positive determinant of the 3 x 3 compliance of the normal stresses",
                 noun="Orthotropic: nu12",
                 state=f"= {numbers.nu12!r}, nu13 = {numbers.nu13!r}, nu23 = {numbers.nu23!r} make the "
                 "compliance not positive definite",

@@ -107,7 +107,7 @@ class Section(nn.Module):
             raise InputError(
                 "angles",
                 allowed="one angle for each layer",
-                state=f"has layers 0 to {mesh.layers - 1}, angles has {len(theta)}",
+                state=f"has {mesh.layers} layers, but there are {len(theta)} angles",
                 noun="Section: the mesh",
             )
         self._plies = LayerNumbers(self, "ply", plies)

@@ -74,8 +74,8 @@ class MatrixStructure:
             elif reduction is not None or node_indices(self.mesh, interface):
                 raise InputError(
                     (self.name, "reduction"),
-                    allowed="one of both",
-                    state="are given beside modes",
+                    allowed="shapes alone, or a number of modes with reduction and interface",
+                    state="are given, although modes contains shapes",
                     noun=f"reduction and interface of {self.name!r}",
                 )
             self._warn_units(self._reduce())

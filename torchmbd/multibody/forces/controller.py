@@ -123,9 +123,9 @@ def _check_gradients(control: Control, x: Tensor) -> None:
     if lost:
         raise InputError(
             control.label,
-            allowed="an output that depends on them, or requires_grad_(False)",
-            state=f"gives its parameters {', '.join(map(repr, lost))} no gradient: its output at t = 0 is "
-            "detached from them",
+            allowed="an output that depends on these parameters, or requires_grad_(False)",
+            state=f"has an output that does not depend on its parameters {', '.join(map(repr, lost))} at t = 0, "
+            "so they get no gradient",
         )
     if by[0] is None and control.inputs and not torch.allclose(u, _called(control, x + 1e-6), rtol=1e-12, atol=0.0):
         raise InputError(

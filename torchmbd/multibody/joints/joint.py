@@ -171,8 +171,7 @@ class AttachmentTable:
                 raise InputError(
                     (body.name, "position"),
                     allowed="a position without a gradient",
-                    state=f"is a Parameter, but a displacement is measured from where {frame!r} and {other!r} are at the "
-                    "given positions",
+                    state=f"is a Parameter, but a displacement is measured from the given positions of {frame!r} and {other!r}",
                 )
         ground = frame.body.position + frame.body.axes @ frame.point
         return self._add(other.body, other.body.axes.T @ (ground - other.body.position), other.interpolation, True)

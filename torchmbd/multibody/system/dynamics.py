@@ -151,8 +151,9 @@ class Dynamics:
             self.shared_start.ranks[self.topology] = rank
         if rank.weak:
             warn(
-                f"{', '.join(rank.weak)}: these rows differ by {100 * rank.share:.1g} % of elastic displacement only, "
-                'which stiffens their body falsely; allowed: reduction="craig-bampton" with the nodes of its joints',
+                f"{', '.join(rank.weak)}: the modes of the body make these rows nearly dependent (they differ by "
+                f"{100 * rank.share:.1g} %), so the joints make the body too stiff. "
+                'Try: reduction="craig-bampton" with the nodes of its joints',
             )
         return rank
 
