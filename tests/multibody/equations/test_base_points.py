@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -26,7 +28,7 @@ def double_pendulum(arm: tuple[float, float, float], phases: bool = False) -> mb
     )
     start = (torch.tensor([1.5, 0, 0]) - turned).tolist()
     b = mbd.RigidBody("b", 1.0, INERTIA, c.tolist(), start, AXES)
-    joints = [
+    joints: list[Any] = [
         mbd.Revolute(ground.at(), at(a, -0.5, 0.0), axis="z", name="hinge"),
         mbd.Revolute(
             at(a, 0.5, 0.0), b.at(c[0].item(), mbd.variable(c[1].item() + 0.5), c[2].item()), axis="z", name="elbow"
@@ -54,10 +56,10 @@ def test_origins_do_not_change_motions_reactions_and_gradients(gradients: str, p
         names = ["a.mass", "a.center", "elbow_b.y"]
         designs = {n: x.detach()[None].requires_grad_() for n, x in system.named_parameters() if n in names}
         assert designs.keys() == set(names)
-        options = {"phases": [mbd.Phase(until=0.04), mbd.Phase(release=["hook"])]} if phases else {}
+        options: dict[str, Any] = {"phases": [mbd.Phase(until=0.04), mbd.Phase(release=["hook"])]} if phases else {}
         motion = mbd.simulate(system, 0.1, steps=20, designs=designs, gradients=gradients, **options).require_ok()
         numbers = shown(motion, arm)
-        total = sum((0.1 * x).square().sum() for x in numbers)
+        total = torch.stack([(0.1 * x).square().sum() for x in numbers]).sum()
         results.append([x.detach() for x in numbers] + list(torch.autograd.grad(total, [designs[n] for n in names])))
     for near, far in zip(*results, strict=True):
         assert_close(far, near, rtol=1e-7, atol=1e-8)
