@@ -57,7 +57,7 @@ def _lasting(motion: Trajectory, x: Tensor) -> Tensor:
 
 def _largest(ratios: Tensor) -> float:
     """Of the lanes that have a number: not of a motion without any, nor of a body without size or support."""
-    known = ratios[ratios.isfinite()]
+    known = ratios.detach()[ratios.isfinite()]
     return float(known.max()) if len(known) else 0.0
 
 

@@ -23,6 +23,9 @@ from torchmbd.math.checked_numbers import is_whole
 from torchmbd.math.gradients import all_true, in_transform, is_differentiated, untransformed
 from torchmbd.math.pair import value
 from torchmbd.math.plausible_units import check_parameter
+from torchmbd.math.rotation import rotation_matrix
+from torchmbd.multibody.equations import base_points
+from torchmbd.multibody.equations.equations import split_q
 from torchmbd.multibody.start.start import Start
 from torchmbd.multibody.system import System
 from torchmbd.results.motion_data import MotionData
@@ -131,7 +134,10 @@ def start_of(system: System, start: Any) -> Start:
     """The initial state that `start` describes; InputError says what is allowed."""
     if isinstance(start, MotionData):
         T, Kr = start.dynamics.topology, start.dynamics.data.get("Kr")
-        return Start.of_motion(system, start.q[:, -1], start.v[:, -1], T, None if Kr is None else value(Kr))
+        q, v = (x[:, -1].T[:, None] for x in (start.q, start.v))
+        v = base_points.rates_to_origins(T.base_points, rotation_matrix(split_q(T, q)[1]), v)
+        q = base_points.to_origins(T.base_points, q)
+        return Start.of_motion(system, q[:, 0].T, v[:, 0].T, T, None if Kr is None else value(Kr))
     return Start.of(system, start)
 
 

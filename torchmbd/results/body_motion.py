@@ -42,7 +42,8 @@ class BodyMotion(Summary):
     @property
     def r(self) -> Tensor:
         """Origin of the body frame in ground axes [lanes, times, 3] [m]."""
-        return self.motion.signals.values("q", self._T.r_slice(self._index))
+        r = self.motion.signals.values("q", self._T.r_slice(self._index))
+        return r if self._arm is None else r + self._turned(self._arm.expand_as(r))
 
     @property
     def p(self) -> Tensor:
@@ -67,10 +68,27 @@ class BodyMotion(Summary):
     @property
     def velocity(self) -> Tensor:
         """Velocity of the origin in ground axes [lanes, times, 3] [m/s]."""
-        return self._origin_rates("v")
+        v = self.motion.signals.values("v", self._T.r_slice(self._index))
+        return v if self._arm is None else v + self._turned(_cross(self.omega, self._arm.expand_as(v)))
 
-    def _origin_rates(self, name: str) -> Tensor:
-        return self.motion.signals.values(name, self._T.r_slice(self._index))
+    @property
+    def _acceleration(self) -> Tensor:
+        """Acceleration of the origin in ground axes [lanes, times, 3] [m/s2]."""
+        a = self.motion.signals.values("a", self._T.r_slice(self._index))
+        if self._arm is None:
+            return a
+        om, arm = self.omega, self._arm.expand_as(a)
+        return a + self._turned(_cross(self.omega_rate, arm) + _cross(om, _cross(om, arm)))
+
+    @property
+    def _arm(self) -> Tensor | None:
+        """Origin from the base point, in body axes [3] (base_points.py); None: the same."""
+        c = self._T.base_point(self._index)
+        return None if c is None or not bool(c.any()) else -c
+
+    def _turned(self, x: Tensor) -> Tensor:
+        """Vectors [lanes, times, 3] in ground axes, of those in body axes."""
+        return torch.einsum("ltij,ltj->lti", self.A, x)
 
     def _spin_rows(self) -> list[int]:
         return [(3 + i) * self._T.bodies + self._index for i in range(3)]
@@ -186,7 +204,8 @@ def point_of(motion: MotionData, frame: Frame) -> Tensor:
     places = [attached.varying if attached.is_point else None for attached in motion.dynamics.topology.attached]
     if frame.varying not in places:
         return frame.present_point[None, None]
-    return value(motion.dynamics.data["x"])[:, places.index(frame.varying), 0].T[:, None]
+    i = places.index(frame.varying)
+    return motion.dynamics.topology.from_origin(i, value(motion.dynamics.data["x"])[:, i, 0].T[:, None])
 
 
 def triad_of(motion: MotionData, frame: Frame) -> Tensor:
@@ -228,22 +247,19 @@ class PointMotion:
     @property
     def position(self) -> Tensor:
         """In ground axes [m]."""
-        return self.body.r + self._ground(self.rho)
+        return self.body.r + self.body._turned(self.rho)
 
     @property
     def velocity(self) -> Tensor:
         """In ground axes [m/s]."""
-        return self.body._origin_rates("v") + self._ground(_cross(self.body.omega, self.rho) + self.rho_rate)
+        return self.body.velocity + self.body._turned(_cross(self.body.omega, self.rho) + self.rho_rate)
 
     @property
     def acceleration(self) -> Tensor:
         """In ground axes [m/s2]."""
         om, turn = self.body.omega, self.body.omega_rate
         local = _cross(turn, self.rho) + _cross(om, _cross(om, self.rho) + 2.0 * self.rho_rate) + self.rho_acceleration
-        return self.body._origin_rates("a") + self._ground(local)
-
-    def _ground(self, x: Tensor) -> Tensor:
-        return torch.einsum("ltij,ltj->lti", self.body.A, x)
+        return self.body._acceleration + self.body._turned(local)
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:

@@ -118,7 +118,8 @@ class MotionData(Summary):
     """The numbers of a motion of one design or of a batch; `Trajectory` (trajectory.py) adds what is read from them.
 
     t           times [times] [s]
-    q, v, a     coordinates [lanes, times, n_q] [m, -], rates [lanes, times, n_v] [m/s, rad/s] and accelerations
+    q, v, a     coordinates [lanes, times, n_q] [m, -], rates [lanes, times, n_v] [m/s, rad/s] and accelerations; a rigid body
+                whose origin is far from its center of mass has those of the center (equations/base_points.py)
     lam         multipliers [lanes, times, rows] [N, N m]
     dq_db, ...  their sensitivities, the design axis last [..., n_b]
     system      the model;  dynamics: its equations of motion for these designs

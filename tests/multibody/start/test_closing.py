@@ -100,3 +100,20 @@ def test_over_constraint_is_told_where_loads_are_asked_for():
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         mbd.simulate(crane(), 0.01, steps=2).reaction("grip")
+
+
+@pytest.mark.thorough
+def test_a_joint_that_bends_a_body_is_closed_by_the_equilibrium():
+    aluminium = mbd.Ply.isotropic(E=70e9, nu=0.33, density=2700.0)
+    tube = mbd.sections.tube(0.02, aluminium, [0.0], 1e-3, cells=(6, 1))
+    boom = mbd.FlexibleBody.beam("boom", mbd.BeamLine.straight(1.0, elements=2), tube, modes=4, reference="start")
+    hook = mbd.PointOnPlane(GROUND.at(1.0, 0.0, -0.005), boom.at("end"), normal="z", name="hook")
+    system = mbd.System([boom], [mbd.Fixed(GROUND.at(), boom.at("start"), name="root"), hook])
+    with pytest.warns(UserWarning, match="'hook' by 0.005 m; they are closed in the static equilibrium of the start"):
+        motion = mbd.simulate(system, 0.01, steps=2, start="equilibrium", gradients="none").require_ok()
+    assert float(motion.body("boom").r[0, 0].norm()) < 1e-9
+    found = system.describe()
+    assert [way.name for way in found.closing.joints] == ["hook"]
+    assert not found.closing.bodies
+    assert (found.closes, found.frequencies) == (False, ())
+    assert "not closed  no rigid displacement closes these joints" in str(found)

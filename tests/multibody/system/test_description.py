@@ -129,3 +129,13 @@ def test_a_joint_on_another_body_of_the_same_name_is_named():
     body, other = box("a"), box("a")
     with refused("bodies"):
         mbd.System([body], [mbd.Revolute(mbd.Ground().at(), other.at())])
+
+
+def test_a_body_that_falls_freely_has_no_frequencies_of_gravity():
+    inertia = (0.1, 0.2, 0.3)
+    free = mbd.RigidBody("free", 1.0, inertia, (0.3, 0.0, 0.1))
+    bob = mbd.RigidBody("bob", 1.0, inertia, (0.0, -1.0, 0.0))
+    hinge = mbd.Revolute(mbd.Ground().at(), bob.at(), axis="z")
+    found = mbd.System([free, bob], [hinge], gravity=(0.0, -9.81, 0.0), free=["free"]).describe()
+    swing = (9.81 / 1.3) ** 0.5 / (2.0 * math.pi)
+    assert found.frequencies == pytest.approx([0.0] * 6 + [swing], abs=1e-6)

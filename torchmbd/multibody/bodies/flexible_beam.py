@@ -45,8 +45,9 @@ class BeamNode(RigidBody):
         """The beam."""
         return self._beam[0]
 
-    def invariants(self) -> dict[str, Tensor]:
-        """Inertia of the node, as in `FlexibleBeam.structure`."""
+    def invariants(self, about: Tensor | None = None) -> dict[str, Tensor]:
+        """Inertia of the node about its origin, as in `FlexibleBeam.structure`."""
+        assert about is None
         return self.beam.structure().inertia(self.index)
 
 

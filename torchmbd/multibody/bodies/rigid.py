@@ -127,9 +127,10 @@ class RigidBody(nn.Module):
         """
         return frame_at(self, (x, y, z), axes, turn)
 
-    def invariants(self) -> dict[str, Tensor]:
-        """Mass, first and second moments about the origin of the body (keys as in fem/reduction/invariants.py)."""
-        m, c = self.mass, self.center
+    def invariants(self, about: Tensor | None = None) -> dict[str, Tensor]:
+        """Mass, first and second moments about a point in body axes [3] [m], or the origin of the body (keys as in
+        fem/reduction/invariants.py)."""
+        m, c = self.mass, self.center if about is None else self.center - about
         S0 = m[..., None] * c
         return {
             "mass": m,

@@ -17,6 +17,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.gradients import refuse_gradients
 from torchmbd.multibody.bodies import Ground
+from torchmbd.multibody.equations.base_points import base_points
 from torchmbd.multibody.equations.beams import Beams
 from torchmbd.multibody.equations.index_maps import SegmentSum, SparseMap
 from torchmbd.multibody.equations.prescribed_body import PrescribedBody
@@ -59,6 +60,7 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[Force
         actions=_group_actions(applied, position),
         beams=[position[pair[k]] for k in range(2) for pair in ends],
         turns=Turns.of(angles, attached, body_of),
+        base_points=base_points(order, _held(equations, attachments.vectors)),
     )
 
 
@@ -76,6 +78,7 @@ def assemble(
     rates: Tensor | None = None,
     beams: Sequence[int] = (),
     turns: Turns | None = None,
+    base_points: Tensor | None = None,
 ) -> Topology:
     """The topology of named bodies, flexible ones first, with its index tensors.
 
@@ -118,7 +121,18 @@ def assemble(
         spread=None if rates is None else SparseMap(rates),
         gather=None if rates is None else SparseMap(rates.T),
         turns=turns,
+        base_points=base_points,
     )
+
+
+def _held(equations: Sequence[tuple[Joint, Equation]], vectors: Sequence[Attached]) -> list[Any]:
+    """Bodies whose origin is a point of an equation of a joint with the ground."""
+    held = []
+    for joint, equation in equations:
+        points = [x for x in (vectors[i] for i in equation.vectors) if x.is_point]
+        if any(isinstance(frame.body, Ground) for frame in joint.frames):
+            held += [x.body for x in points if not bool(x.vector.any())]
+    return held
 
 
 def _refuse_repeated(argument: str, elements: Sequence[Any]) -> None:

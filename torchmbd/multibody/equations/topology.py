@@ -3,7 +3,8 @@ for all designs.
 
 Order of the unknowns (flexible bodies come first):
 
-    q = r [3, bodies] | p [4, bodies] | w [modes, flexible] | tau   coordinates; tau: counted angles (turns.py), mostly none
+    q = r [3, bodies] | p [4, bodies] | w [modes, flexible] | tau   coordinates; tau: counted angles (turns.py), mostly none;
+                                                                    r: base points (base_points.py), mostly origins
     v = r' [3, bodies] | omega [3, bodies] | w' [modes, flexible]   rates; omega in body axes
     lam: rows of the primitives, kind by kind (multibody/joints/primitive.py)
 
@@ -111,6 +112,9 @@ class Topology:
     spread: SparseMap | None = None  # `rates` as a map: independent rates -> rates of all bodies
     gather: SparseMap | None = None  # its transpose: forces on all bodies -> forces on independent rates
     turns: Turns | None = None  # angles that count full turns
+    base_points: Tensor | None = (
+        None  # in body axes [3, bodies, 1, 1]; None: origins, also where the system is condensed
+    )
 
     def with_modes(self, mode_counts: tuple[int, ...]) -> Topology:
         """The topology of the same system whose flexible bodies have other numbers of modes; of one that is not condensed."""
@@ -171,6 +175,24 @@ class Topology:
     def action_arguments(self, g: Any) -> list[list[Any]]:
         """The same for the actions."""
         return _arguments(g.index_select(1, self.action_vectors), self.actions)
+
+    def base_point(self, body: int) -> Tensor | None:
+        """Base point of a body in body axes [3]; None: its origin, or that of the ground."""
+        return None if self.base_points is None or body >= self.bodies else self.base_points[:, body, 0, 0]
+
+    def from_base_point(self, i: int, x: Tensor) -> Tensor:
+        """Attached vector i, of components x [..., 3] in body axes: a point is given from the origin, and measured from r."""
+        c = self.base_point(int(self.vector_origin[i]))
+        return x if c is None else x - c
+
+    def from_origin(self, i: int, x: Tensor) -> Tensor:
+        """The reverse of `from_base_point`."""
+        c = self.base_point(int(self.vector_origin[i]))
+        return x if c is None else x + c
+
+    def vectors_in_design(self) -> list[Tensor]:
+        """The attached vectors in the present design [*lanes, 3], points from the base points of their bodies."""
+        return [self.from_base_point(i, attached.now()) for i, attached in enumerate(self.attached)]
 
     @property
     def varying_vectors(self) -> set[int]:
@@ -251,7 +273,7 @@ class Topology:
         )
 
     def r_slice(self, body: int) -> list[int]:
-        """Rows of q with the origin of a body."""
+        """Rows of q with the base point of a body."""
         return [i * self.bodies + body for i in range(3)]
 
     def p_slice(self, body: int) -> list[int]:

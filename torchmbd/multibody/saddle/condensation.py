@@ -185,7 +185,8 @@ class _Poses:
 
     def __init__(self, T: Topology):
         self.T = T
-        x = torch.stack([attached.vector for attached in T.attached], 1)[..., None, None]
+        x = [T.from_base_point(i, attached.vector) for i, attached in enumerate(T.attached)]
+        x = torch.stack(x, 1)[..., None, None]
         self.data = {"x": x, "Y": x.new_zeros(3, T.modes, T.attached_flexible, 1, 1)}
 
     def phi(self, q: Tensor, angle: float = 0.0) -> Tensor:

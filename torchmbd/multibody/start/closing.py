@@ -82,20 +82,21 @@ class Closing:
         )
 
     def __str__(self) -> str:
-        shown = [
-            ", ".join(map(str, ways[:_SHOWN])) + f" and {len(ways) - _SHOWN} more" * (len(ways) > _SHOWN)
-            for ways in (self.joints, self.bodies)
-        ]
-        return f"joints are open where the bodies were put: {shown[0]}; to close them the start moves {shown[1]}"
+        return f"joints are open where the bodies were put: {_shown(self.joints)}"
 
 
-def warn_far(closing: Closing) -> None:
-    """Warn of joints that are open by more than rounding of positions."""
+def warn_far(closing: Closing, in_equilibrium: bool) -> None:
+    """Warn of joints that are open by more than rounding of positions; in_equilibrium: where the start is one."""
     if closing.far:
+        moves = f"to close them the start moves {_shown(closing.bodies)}"
         warn(
-            f"{closing}; allowed: positions, axes and laws of drives that close the joints at t = 0 (system.describe() "
-            "lists all gaps)"
+            f"{closing}; {'they are closed in the static equilibrium of the start' if in_equilibrium else moves}; allowed: "
+            "positions, axes and laws of drives that close the joints at t = 0 (system.describe() lists all gaps)"
         )
+
+
+def _shown(ways: tuple[Way, ...]) -> str:
+    return ", ".join(map(str, ways[:_SHOWN])) + f" and {len(ways) - _SHOWN} more" * (len(ways) > _SHOWN)
 
 
 def _way(T: Any, body: int, before: Any, after: Any, start: Tensor, closed: Tensor) -> Way:

@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -38,9 +38,9 @@ from torchmbd.errors import InputError, warn
 from torchmbd.math.gradients import all_true, untransformed, wraps
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, apply, cat, linear, value
-from torchmbd.math.rotation import euler_parameters
+from torchmbd.math.rotation import euler_parameters, rotation_matrix
 from torchmbd.multibody.bodies.frame import given_velocities
-from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations import base_points, equations
 from torchmbd.multibody.equations.beams import stored_energy
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.saddle.condensation import Condensation, condense
@@ -61,7 +61,7 @@ START_DATA = ("q0", "v0")  # keys of initial coordinates and rates in the data o
 
 
 def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
-    """Coordinates [n_q, 1, lanes] and rates [n_v, 1, lanes] that `bodies` were given, in the order of the topology."""
+    """Coordinates [n_q, 1, lanes] and rates [n_v, 1, lanes] that origins of bodies were given, in the order of the topology."""
 
     def rows(*kinds: list[Tensor]) -> Tensor:
         lanes = max((x.shape[0] for kind in kinds for x in kind if x.dim() > 1), default=1)
@@ -94,6 +94,10 @@ def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
     return torch.nn.functional.pad(x[..., :count], (0, modes - min(count, x.shape[-1])))
 
 
+class DoesNotClose(InputError):
+    """No rigid displacement closes the joints."""
+
+
 @dataclass(frozen=True, eq=False)
 class SharedStart:
     """Initial state of all designs whose start depends on the same inputs.
@@ -109,12 +113,13 @@ class SharedStart:
 
 @dataclass(frozen=True, eq=False)
 class InitialConditions:
-    """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies.
+    """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies, v of their origins (base_points.py).
 
     rate_mask   which velocities users gave [n_v];  built: attached vectors [3, vectors, 1] of the model as it was built
     """
 
     topology: Topology
+    in_equilibrium: ClassVar = False  # whether the start is a static equilibrium
     q: Tensor
     v: Tensor
     rate_mask: Tensor
@@ -133,8 +138,9 @@ class InitialConditions:
         modal = torch.zeros(topology.n_v - len(mask), dtype=torch.bool)
         built = torch.zeros(3, topology.vectors, 1, dtype=torch.float64)
         for i, x in enumerate(topology.attached):
-            built[:, i, 0] = untransformed(x.now()).reshape(-1, 3)[0]
-        return cls(topology, start["q0"], start["v0"], torch.cat([mask, modal]), built)
+            built[:, i, 0] = topology.from_base_point(i, untransformed(x.now()).reshape(-1, 3)[0])
+        q = base_points.of_origins(topology.base_points, start["q0"][:, None, None])[:, 0, 0]
+        return cls(topology, q, start["v0"], torch.cat([mask, modal]), built)
 
     @cached_property
     def condensed(self) -> Condensation | None:
@@ -172,10 +178,15 @@ class InitialConditions:
         """True if rigid rates leave constraint rates open at q [n_q, 1, 1] and given v [n_v, 1, 1]."""
         if not self.topology.flexible:
             return False
-        joints = _Joints.of(undeformed, q, q.new_zeros(()), [self.rigid_mask])
+        joints = _Joints.of(undeformed, q, q.new_zeros(()), [self.rigid_mask], self.topology.base_points)
         x = joints.rates(v)
         size = max(float(y.abs().max()) for y in (v, x))
         return float(joints.open_rates(x).abs().max()) > _OPEN * size
+
+    def open(self, dynamics: Any) -> tuple[Tensor, Closing]:
+        """Where the bodies of one design were put [n_q, 1, 1], and what is open there."""
+        q = value(self._given_positions(dynamics.data)).detach()
+        return q, Closing.of(dynamics, q, q)
 
     @property
     def rigid_mask(self) -> Tensor:
@@ -203,14 +214,15 @@ class InitialConditions:
         return q, self.compatible(dynamics, q, v)
 
     def assembled(self, dynamics: Any):
-        """Positions q that close the joints, and the rates v that bodies were given [n, 1, lanes]; pairs as in `solve`."""
+        """Positions q that close the joints, and the rates v that origins of bodies were given [n, 1, lanes]; pairs as in
+        `solve`."""
         T, data = self.topology, dynamics.data
         device = value(data["x"]).device
         lanes = dynamics.lanes
         t = torch.zeros((), dtype=torch.float64, device=device)
         q, v = (
-            linear(lambda y: y.expand(*y.shape[:-1], lanes).contiguous(), data.get(name, x.to(device)[:, None, None]))
-            for name, x in zip(START_DATA, (self.q, self.v), strict=True)
+            linear(lambda y: y.expand(*y.shape[:-1], lanes).contiguous(), x)
+            for x in (self._given_positions(data), data.get(START_DATA[1], self.v.to(device)[:, None, None]))
         )
         if not T.rows:
             return q, v
@@ -234,11 +246,17 @@ class InitialConditions:
             outside_transforms(self._refuse, value(phi))
         return equations.advance(T, q, -joints.correction(phi)), v
 
+    def _given_positions(self, data: Any) -> Any:
+        """Coordinates that the bodies were given [n_q, ...]."""
+        if START_DATA[0] not in data:
+            return self.q.to(value(data["x"]).device)[:, None, None]
+        return base_points.of_origins(self.topology.base_points, data[START_DATA[0]])
+
     def closing(self, dynamics: Any) -> Closing:
         """What closing the joints of one design moves."""
         if not self.topology.rows:
             return Closing()
-        start = value(dynamics.data.get(START_DATA[0], self.q[:, None, None])).detach()
+        start = value(self._given_positions(dynamics.data)).detach()
         return Closing.of(dynamics, start, value(self.assembled(dynamics)[0]).detach())
 
     def _warn_moved(self, dynamics: Any, start: Tensor, q: Tensor) -> None:
@@ -249,7 +267,8 @@ class InitialConditions:
         if bool(same.any()):
             lane = int(same.nonzero()[0, 0])
             start, q = (x[..., min(lane, x.shape[-1] - 1)][..., None] for x in (start, q))
-            warn_far(Closing.of(dynamics.select_lanes([lane]) if dynamics.lanes > 1 else dynamics, start, q))
+            one = dynamics.select_lanes([lane]) if dynamics.lanes > 1 else dynamics
+            warn_far(Closing.of(one, start, q), self.in_equilibrium)
 
     def _warn_strained(self, dynamics: Any, unstrained: Tensor, q: Tensor) -> None:
         """Warn of joints that no rigid motion of exact beams closes."""
@@ -264,15 +283,17 @@ class InitialConditions:
             )
 
     def compatible(self, dynamics: Any, q: Any, v: Any):
-        """Rates [n_v, 1, lanes] that the joints allow at closed positions q [n_q, 1, lanes], nearest to v [n_v, 1, lanes]."""
-        if not self.topology.rows:
-            return v
+        """Rates [n_v, 1, lanes] that the joints allow at closed positions q [n_q, 1, lanes], nearest to those of origins v
+        [n_v, 1, lanes]."""
+        T = self.topology
+        if not T.rows:
+            return base_points.rates_of_origins(T.base_points, rotation_matrix(equations.split_q(T, q)[1]), v)
         t = torch.zeros((), dtype=torch.float64, device=value(q).device)
         levels = [self.rigid_mask & ~self.rate_mask, self.rate_mask, ~self.rigid_mask]
-        joints = _Joints.of(dynamics, q, t, levels)
+        joints = _Joints.of(dynamics, q, t, levels, T.base_points)
         s = -joints.correction(value(joints.rates(v)).detach())
         outside_transforms(self._warn_changed, value(v), s)
-        return v + s + joints.jacobian_part(s) - joints.correction(joints.rates(v + s))
+        return joints.of_base_points(v + s + joints.jacobian_part(s) - joints.correction(joints.rates(v + s)))
 
     def _warn_changed(self, v: Tensor, s: Tensor) -> None:
         """Warn of given velocities v that corrections s change [n_v, 1, lanes]."""
@@ -296,7 +317,7 @@ class InitialConditions:
         T, phi = self.topology, phi.abs().amax((1, 2))
         worst = torch.argsort(phi, descending=True)[:4]
         rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > _CLOSED)
-        raise InputError(
+        raise DoesNotClose(
             "joints",
             allowed="positions from which Newton's method can close all joints"
             + (", or start='equilibrium', which bends flexible bodies to close them" if T.flexible else ""),
@@ -307,22 +328,28 @@ class InitialConditions:
 
 @dataclass(frozen=True, eq=False)
 class _Joints:
-    """The joints of all lanes at coordinates q and time t; level: the last of the rates that satisfy them."""
+    """The joints of all lanes at coordinates q and time t; level: the last of the rates that satisfy them.
+
+    arms   base points of the bodies where rates v, s are those of origins; None: they are those of base points
+    """
 
     dynamics: Any
     at: equations.Placement
     t: Tensor
     level: RateLevel
+    arms: Tensor | None
 
     @classmethod
-    def of(cls, dynamics: Any, q: Any, t: Tensor, masks: Sequence[Tensor]) -> _Joints:
+    def of(cls, dynamics: Any, q: Any, t: Tensor, masks: Sequence[Tensor], arms: Tensor | None = None) -> _Joints:
         """masks: the rates of each level [n_v], the preferred ones first."""
         T, data = dynamics.topology, dynamics.data
         values = {name: value(x).detach() for name, x in data.items()}
         plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
         J = dynamics.saddle.jacobian(values, plain)
+        J = base_points.forces_on_origins(arms, plain.A[:, :, : T.bodies], J.permute(2, 1, 0)).permute(2, 1, 0)
         at = equations.placement(T, data, q, T.prescribed(t, data))
-        return cls(dynamics, at, t, rate_levels(T, J, [mask.to(J.device) for mask in masks if bool(mask.any())]))
+        levels = rate_levels(T, J, [mask.to(J.device) for mask in masks if bool(mask.any())])
+        return cls(dynamics, at, t, levels, arms)
 
     def violation(self) -> Any:
         """Phi [rows, ...]."""
@@ -331,7 +358,16 @@ class _Joints:
     def rates(self, v: Any) -> Any:
         """Phi' = J v + Phi_t [rows, ...]."""
         T, data = self.dynamics.topology, self.dynamics.data
+        v = self.of_base_points(v)
         return equations.constraint_jets(T, self.at, data, v, torch.zeros_like(value(v)), self.t).velocity
+
+    def of_base_points(self, v: Any) -> Any:
+        """Rates v [n_v, ...] with velocities of base points."""
+        return base_points.rates_of_origins(self.arms, self._rotations, v)
+
+    @property
+    def _rotations(self) -> Any:
+        return self.at.A[:, :, : self.dynamics.topology.bodies]
 
     def correction(self, x: Any) -> Any:
         """K x [n_v, ...] of x [rows, ...]."""
@@ -349,4 +385,5 @@ class _Joints:
     def _constraint_forces(self, y: Tensor) -> Any:
         """J' y [n_v, ...] with the derivatives of J."""
         T, data = self.dynamics.topology, self.dynamics.data
-        return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])
+        forces = cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])
+        return base_points.forces_on_origins(self.arms, self._rotations, forces)

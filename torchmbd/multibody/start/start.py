@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -38,6 +38,8 @@ _TURNED = 1e-9  # |A'A - 1| of a rotation
 @dataclass(frozen=True, eq=False)
 class EquilibriumConditions(InitialConditions):
     """Initial conditions in static equilibrium; `Dynamics.start_errors` names the lanes that have none."""
+
+    in_equilibrium: ClassVar = True
 
     @property
     def closing_levels(self) -> list[Tensor]:
@@ -68,7 +70,7 @@ class Start:
 
     in_equilibrium   whether it is the static equilibrium
     numbers          "body.quantity" -> numbers [...] or [lanes, ...]
-    state            q [lanes, n_q] and v [lanes, n_v] of the whole system, or None
+    state            q [lanes, n_q] and v [lanes, n_v] of the whole system, of origins, or None
     topology         of this state
     stiffness        Kr [modes, modes, bodies, 1, lanes] of the designs of this state, in whose modes its coordinates are
     is_guess         whether a search begins there, whose result does not depend on it
@@ -94,7 +96,8 @@ class Start:
 
     @classmethod
     def of_motion(cls, system: Any, q: Tensor, v: Tensor, at: Topology, stiffness: Tensor | None = None) -> Start:
-        """The start in a state q [lanes, n_q], v [lanes, n_v] of a system of the same bodies, with the topology `at`."""
+        """The start in a state q [lanes, n_q], v [lanes, n_v] of a system of the same bodies, of their origins, with the
+        topology `at`."""
         T = system.topology
         similar = at.bodies == T.bodies and at.flexible == T.flexible
         similar = similar and all(abs(a - b) <= MORE for a, b in zip(at.mode_counts, T.mode_counts, strict=True))

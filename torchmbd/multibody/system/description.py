@@ -3,7 +3,8 @@
     freedoms = 6 bodies + modes - rank of Phi_q          mobility = 6 bodies - rank of Phi_q by the rigid coordinates
 
 at the assembled initial position; what assembling moves is listed (closing.py). Frequencies are those of small vibrations about
-it, which is taken for an equilibrium.
+it, which is taken for an equilibrium; bodies that nothing ties to the ground fall, and vibrate as without gravity. A mechanism
+that no rigid displacement closes is described where the bodies were put, without vibrations.
 Checked in tests/multibody/system/test_description.py.
 """
 
@@ -21,6 +22,7 @@ from torchmbd.multibody.equilibrium.equilibrium import vibrations
 from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.saddle.rank import Rank, jacobians, rank_of, rank_of_columns
 from torchmbd.multibody.start.closing import Closing
+from torchmbd.multibody.start.initial import DoesNotClose
 
 _SHOWN = 6  # frequencies in the table
 
@@ -42,6 +44,7 @@ class Description:
     separate     groups of bodies that no joint ties to the ground
     repeated     joints whose equations another joint before them has
     closing      joints that are open where the bodies were put, and bodies that the start moves
+    closes       False: no rigid displacement closes these joints, and there are no frequencies
     """
 
     bodies: tuple[Entry, ...]
@@ -57,9 +60,10 @@ class Description:
     separate: tuple[tuple[str, ...], ...] = ()
     repeated: tuple[str, ...] = ()
     closing: Closing = field(default_factory=Closing)
+    closes: bool = True
 
     def __str__(self) -> str:
-        first = ", ".join(f"{f:.4g}" for f in self.frequencies[:_SHOWN]) or "none"
+        first = ", ".join(f"{f:.4g}" for f in self.frequencies[:_SHOWN])
         lines = [
             *_table("body", self.bodies),
             "",
@@ -71,22 +75,30 @@ class Description:
             f"redundant   {', '.join(self.redundant) or 'none'}",
             f"freedoms    {self.freedoms} ({self.mobility} of rigid bodies)",
             f"total mass  {self.mass:.6g} kg",
-            f"vibrations  {first} Hz",
+            f"vibrations  {first} Hz"
+            if first
+            else f"vibrations  {'none' if self.closes else 'not known of open joints'}",
         ]
         lines += [f"free        {', '.join(group)}: no joint to the ground" for group in self.separate]
         lines += [f"repeated    {name}: an earlier joint has these equations" for name in self.repeated]
         lines += [f"open        {joint} where the bodies were put" for joint in self.closing.joints]
         lines += [f"moved       {body} to close the joints" for body in self.closing.bodies]
+        lines += ["not closed  no rigid displacement closes these joints; start='equilibrium' bends bodies"] * (
+            not self.closes
+        )
         return "\n".join(lines)
 
 
 def describe(system: Any) -> Description:
-    """Describe a system at its assembled initial position; raises InputError if it does not assemble."""
+    """Describe a system at its assembled initial position, or where the bodies were put if that does not exist."""
     dynamics = system.dynamics().values().select_lanes([0])
     T = dynamics.topology
     with torch.no_grad():
-        q, _ = dynamics.initial.solve(dynamics)
-        closing = dynamics.initial.closing(dynamics)
+        try:
+            q, _ = dynamics.initial.solve(dynamics)
+            closing, closes = dynamics.initial.closing(dynamics), True
+        except DoesNotClose:
+            (q, closing), closes = dynamics.initial.open(dynamics), False
         J = jacobians(dynamics, q[:, 0, 0][None], torch.zeros(1, dtype=q.dtype))[0].numpy()
     rank = rank_of(T, J) if T.rows else Rank(0, ())
     rigid = rank_of_columns(J[:, : 6 * T.bodies]) if T.rows else 0
@@ -102,11 +114,21 @@ def describe(system: Any) -> Description:
         freedoms=freedoms,
         mobility=6 * T.bodies - rigid,
         mass=sum(mass.values()),
-        frequencies=tuple(vibrations(dynamics).frequencies.tolist()) if freedoms else (),
+        frequencies=tuple(vibrations(_falling(system, dynamics)).frequencies.tolist()) if freedoms and closes else (),
         separate=_separate(system.bodies, [*system.joints, *(f for f in system.forces if f.beams(AttachmentTable()))]),
         repeated=_repeated(system.joints),
         closing=closing,
+        closes=closes,
     )
+
+
+def _falling(system: Any, dynamics: Any) -> Any:
+    """The dynamics without gravity on groups of bodies that nothing ties to the ground."""
+    loose = [name for group in _separate(system.bodies, [*system.joints, *system.forces]) for name in group]
+    if "gravity" not in dynamics.data or not loose:
+        return dynamics
+    held = torch.tensor([float(name not in loose) for name in dynamics.topology.names], dtype=torch.float64)
+    return dynamics.with_data(dynamics.data | {"gravity": dynamics.data["gravity"] * held[:, None, None]})
 
 
 def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], free: list[str]) -> None:

@@ -387,7 +387,10 @@ class System(nn.Module):
         beams = {beam.name: beam.structure() for beam in self.beams}
         inertia = [
             *stages,
-            *(beams[b.beam.name].inertia(b.index) if isinstance(b, BeamNode) else b.invariants() for b in rigid),
+            *(
+                beams[b.beam.name].inertia(b.index) if isinstance(b, BeamNode) else b.invariants(T.base_point(i))
+                for i, b in enumerate(rigid, T.flexible)
+            ),
         ]
         data = {key: stack_bodies([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
         if flexible:
@@ -399,7 +402,7 @@ class System(nn.Module):
             data["Y"] = vector_modes(T, stages)
             if any("F1" in stage for stage in stages):
                 data |= second_order_data(T, stages)
-        x = [attached.now() for attached in T.attached]
+        x = T.vectors_in_design()
         data["x"] = stack_bodies(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
         for element in (*self.joints, *self.forces):
             if element.variables is not None and getattr(element, "variables_in_laws", True):
