@@ -65,9 +65,9 @@ def test_errors_name_the_argument():
         ({"axis": "w"}, "axis"),
         ({"axis": "x", "seen_from": "c"}, "body"),
         ({"axis": "x", "seen_from": "a"}, "seen_from"),
-        ({"axis": "x", "center": math.nan}, "Angle.center"),
+        ({"axis": "x", "center": math.nan}, "center"),
         ({"axis": "x", "wrapped": "yes"}, "wrapped"),
-        ({"axis": "x", "center": "half"}, "Angle.center"),
+        ({"axis": "x", "center": "half"}, "center"),
     ):
         with refused(path):
             Angle("a", **given).check(system)

@@ -157,7 +157,7 @@ def test_action_is_reaction_and_a_hinge_turns_freely(motion):
         (Displacement("rod", "x", seen_from="rod"), "is zero; allowed: a node, or seen_from"),
         (RelativeDisplacement("rod", 0, 999, "z"), "node is 999"),
         (Reaction("universal_arm", "x"), "did you mean 'universal_arm_rod'"),
-        (Reaction(JOINT, "x", kind="moment"), "Reaction.kind 'moment'"),
+        (Reaction(JOINT, "x", kind="moment"), "kind 'moment'"),
         (Reaction(JOINT, "x", on="ground"), "'ground' does not exist; allowed: arm, rod"),
     ],
     ids=str,

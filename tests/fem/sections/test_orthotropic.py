@@ -97,4 +97,4 @@ def test_a_ply_without_a_solid_is_refused():
     assert (error.value.path, error.value.value) == (("ply",), "carbon")
     with pytest.raises(InputError) as error:
         Orthotropic.isotropic(1e9, 0.5, 1.0)
-    assert (error.value.path, error.value.value) == (("Orthotropic.isotropic", "nu"), 0.5)
+    assert (error.value.path, error.value.value) == (("nu",), 0.5)

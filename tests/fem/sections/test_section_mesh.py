@@ -70,7 +70,7 @@ def test_bad_meshes_are_named(given, words):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"angles": [0.1]}, ["layers 0 to 1", "angles has 1"]),
+        ({"angles": [0.1]}, ["has 2 layers", "1 angles"]),
         ({"angles": [0.1, 45.0]}, ["angles[1] = 45.0 rad", "mbd.deg"]),
         ({"angles": [0.1, math.nan]}, ["angles[1] = nan"]),
         ({"angles": 0.3}, ["angles has shape ()"]),

@@ -33,8 +33,8 @@ BAD = {
     "number": (lambda x, w: 3.0, "gives 3.0"),
     "single": (lambda x, w: (w * x[:, :1]).float(), "gives torch.float32"),
     "nan": (lambda x, w: w * x[:, :1] / x[:, :1].square(), "'pd' gives .nan. at inputs .*t = 0"),
-    "detached": (lambda x, w: (w * x[:, :1]).detach(), "'weight' no gradient.*detached"),
-    "unused": (lambda x, w: x[:, :1], "'weight' no gradient"),
+    "detached": (lambda x, w: (w * x[:, :1]).detach(), "does not depend on its parameters 'weight'"),
+    "unused": (lambda x, w: x[:, :1], "does not depend on its parameters 'weight'"),
     "inputs": (lambda x, w: w * x.detach()[:, :1], "does not depend on its inputs"),
     "random": (
         lambda x, w: w * x[:, :1] + torch.rand(1, 1, dtype=torch.float64),
