@@ -80,6 +80,7 @@ def test_bounds_and_start_one_for_each(system):
         ({"bounds": ("low", 1.0)}, ["lower bound is 'low'", "numbers"]),
         ({"bounds": ([0.0, "b", 0.0, 0.0, 0.0], 1.0)}, ["lower bound is", "'b'", "numbers"]),
         ({"variables": ["two.laminate.angles"] * 2}, ["variables is", "each parameter once"]),
+        ({"variables": "two.laminate.angles"}, ["variables is 'two.laminate.angles'", "a list of names"]),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )

@@ -96,6 +96,8 @@ class DesignSpace:
         links: Any,
         periods: Mapping[str, float],
     ) -> None:
+        if isinstance(variables, str):
+            raise InputError("variables", variables, f"a list of names, such as [{variables!r}]")
         for name in variables or ():
             if name not in parameters:
                 raise unknown("parameter", name, parameters, ("variables", name))
@@ -120,7 +122,7 @@ class DesignSpace:
         self.lower, self.upper = self._bounds(bounds)
         for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
             if not low <= high:
-                rule = f"must be below upper = {shown(name, high)}; allowed: equal"
+                rule = f"must be below upper = {shown(name, high)}, or equal to it"
                 noun = f"{_NOUNS['lower']} of {name}"
                 raise InputError(("lower", name), low, rule=rule, noun=noun, shown=shown(name, low))
         self.start = self.point("start", start, values)

@@ -27,7 +27,7 @@ def size_doubts(problem: FitProblem, shown: np.ndarray) -> list[str]:
             continue
         result.append(
             f"channel {row.name!r}: the measured numbers are {_words(measured / model, unit_of_title(row.block.title))}. "
-            "Try: the unit of the column, by unit= or in the brackets of its heading; or another start"
+            "Try: the unit of the column, or of the times, by unit= or in the brackets of its heading; or another start"
         )
     return result
 
