@@ -147,7 +147,7 @@ def _potential(motion: MotionData, data: equations.Data, at: equations.Placement
 def _applied(motion: MotionData, data: equations.Data, at: equations.Placement, v: Tensor, phase: Tensor) -> Tensor:
     """Power of the applied forces [1, n]: generalized forces times rates; `phase`: number of the phase at each time."""
     T, power = motion.dynamics.topology, torch.zeros_like(v[0])
-    for k, actions in enumerate(motion.actions or (T.actions,)):
+    for k, actions in enumerate(motion.actions or (T.actions,) * (1 + len(motion.switches))):  # of each phase
         if actions:
             topology = replace(T, actions=actions)
             on_vectors = equations.applied_on_vectors(topology, data, at, v)
