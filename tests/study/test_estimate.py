@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
+from torchmbd.integrate.phases.phase import phases_within
 from torchmbd.simulation import Simulation
 from torchmbd.study.estimate import estimate, print_estimate
 from torchmbd.study.file.load import load_study
@@ -79,6 +80,9 @@ def test_phases_that_begin_after_the_part_that_is_measured(write):
     whole = plan.simulated.simulation
     assert [phase.until for phase in whole.beginning(0.006, 30).phases] == [0.004, None]
     assert [phase.until for phase in whole.beginning(0.004, 20).phases] == [None]
+    lasting = [mbd.Phase(lasting=0.003), mbd.Phase(lasting=0.003), mbd.Phase()]
+    assert [phase.lasting for phase in phases_within(lasting, 0.005)] == [0.003, None]
+    assert phases_within(lasting, 0.01) == lasting
     assert estimate(plan, plan.simulated).batch_seconds > 0.0
 
 

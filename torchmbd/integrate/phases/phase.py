@@ -130,10 +130,12 @@ ONE_PHASE = (Phase(),)  # of a motion without switches: all joints and laws of t
 
 def phases_within(phases: Sequence[Phase], seconds: float) -> list[Phase]:
     """The phases of the first part of a motion [s]: those that begin in it, as far as their times tell."""
-    late = [i for i, phase in enumerate(phases) if phase.end_time is not None and phase.end_time >= seconds]
-    if not late:
-        return list(phases)
-    return [*phases[: late[0]], replace(phases[late[0]], until=None, impact=None)]
+    end = 0.0  # the earliest time at which a phase may end
+    for i, phase in enumerate(phases):
+        end = phase.end_time or end + (phase.length or 0.0)
+        if end >= seconds:
+            return [*phases[:i], replace(phase, until=None, lasting=None, impact=None)]
+    return list(phases)
 
 
 def _number(x: float | Tensor) -> float:
