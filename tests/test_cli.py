@@ -135,7 +135,7 @@ def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store
     assert cli.main(["best"]) == 0
     assert ', model="rod_model.py")' in capsys.readouterr().out
     assert cli.main(["compare", "study", "nothing"]) == 2
-    assert "run 'nothing' is not in" in capsys.readouterr().err
+    assert "run 'nothing' does not exist" in capsys.readouterr().err
     assert cli.main(["report", "study", "--output", "study.html"]) == 0
     assert (folder / "study.html").exists()
     assert cli.main(["sync"]) == 0

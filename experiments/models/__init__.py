@@ -1,7 +1,8 @@
 """Mechanisms and structures: `build()` of a module returns a System; a class or a table holds the data of a family.
 
 sar_antenna            half of the antenna of the paper, first phase; its parts in sar_antenna_bodies, its data in
-                       sar_antenna_data, both phases in sar_antenna_whole, its gaps in sar_antenna_clearance
+                       sar_antenna_data, both phases in sar_antenna_whole, its gaps in sar_antenna_clearance, the
+                       flatness of its panels in the sun in sar_antenna_flatness
 spatial_arm            two laminated tubes under gravity, asked about in configs/spatial_arm
 arm_twin               an arm identified from its own motion, with noise: `python -m experiments.models.arm_twin 100`
 turning_blade          a blade on a hub, asked about in configs/turning_blade

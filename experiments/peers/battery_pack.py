@@ -9,18 +9,23 @@ the upper side of the block. Printed: processor seconds of reading, and seconds 
 from __future__ import annotations
 
 import os
+import resource
 import time
 from pathlib import Path
 
 import torch
 
 import torchmbd as mbd
-from experiments.benchmark.processes import resident_mb
 from torchmbd.extensions.nastran.body import bulk_body
 
 VARIABLE = "TACS"
 DECK = Path("examples") / "battery" / "battery_pack.bdf"
 MODES = 20
+
+
+def resident_mb() -> float:
+    """Largest so far, of a process that a shell began."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def corners(nodes: torch.Tensor) -> list[int]:

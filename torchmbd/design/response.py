@@ -67,7 +67,7 @@ class History(ConstantArguments):
 
     def __call__(self, motion: Trajectory) -> Tensor:
         """Value [lanes, times]; lanes that failed have nan, and no derivative."""
-        self.check(motion.system)
+        _check(self, motion)
         return motion.sound(self.values(motion))
 
     def check(self, system: System) -> None:
@@ -75,7 +75,7 @@ class History(ConstantArguments):
 
     def series(self, motion: Trajectory) -> ValueAndGradient:
         """Value [lanes, times] and gradient [lanes, times, n_b], None for a motion without gradients."""
-        self.check(motion.system)
+        _check(self, motion)
         return differentiate(self.values, motion)
 
     def _without_limit(self, limit: Any) -> NoReturn:
@@ -158,6 +158,12 @@ class Combined(History):
                 part.check(system)
 
 
+def _check(response: History | Measure, motion: Any) -> None:
+    """Check a response by the system of a motion; what is no motion is refused where it is read."""
+    if (system := getattr(motion, "system", None)) is not None:
+        response.check(system)
+
+
 class Measure(ConstantArguments):
     """Numbers of a motion: one, or `rows` of one kind to which one limit applies, in the unit of the response.
 
@@ -183,7 +189,7 @@ class Measure(ConstantArguments):
 
     def __call__(self, motion: Trajectory) -> Tensor:
         """Value [lanes], or [lanes, rows]; lanes that failed have nan, and no derivative."""
-        self.check(motion.system)
+        _check(self, motion)
         return motion.sound(self.value(motion))
 
     def check(self, system: System) -> None:
@@ -263,7 +269,7 @@ class Measure(ConstantArguments):
 
     def of(self, motion: Trajectory) -> ValueAndGradient:
         """Value [lanes, ...] and gradient [lanes, ..., n_b], None for a motion without gradients."""
-        self.check(motion.system)
+        _check(self, motion)
         return differentiate(self.value, motion)
 
     def value_and_gradient(self, motion: Trajectory) -> ValueAndGradient:

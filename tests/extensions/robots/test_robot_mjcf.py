@@ -187,7 +187,7 @@ def test_equalities_of_joints(file):
         assert float(way) == pytest.approx(factor * 0.5 * acceleration * 0.1**2, rel=1e-10)
     for coefficients, path in (
         ("0 1 0.5 0 0", "mechanism.xml, <joint> 'joint_1'.polycoef"),
-        ("0 one", "mechanism.xml, <joint> 'joint_1': polycoef"),
+        ("0 one", "mechanism.xml, <joint> 'joint_1'.polycoef"),
     ):
         with refused(path):
             mbd.read_mjcf(file(text.format(coefficients)))

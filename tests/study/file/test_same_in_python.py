@@ -191,7 +191,10 @@ def test_scenarios_with_options_of_the_model(write):
     assert [group.indices for group in asked.groups] == [[0], [1, 2]]
     for wrong, message in (
         ([{"options": {"payloda": 1}}], r"scenarios.0.options.payloda unknown option; .*did you mean 'payload'"),
-        ([{"options": {"layers": "two"}}], r"scenarios.0.options = \{'layers': 'two'\}: TypeError in"),
+        (
+            [{"options": {"layers": "two"}}],
+            r"scenarios.0.options = \{'layers': 'two'\}: the function raised TypeError in",
+        ),
         (
             [{"options": {"layers": 3}}],
             r"line \d+: .*scenario .scenario 1. has one of shape \[3\]: 'rod.laminate.angles'",

@@ -110,8 +110,8 @@ class MultiphaseRun:
             made = (prepare if self.integrator.condenses else prepare_whole)(dynamics)
             whole.start_errors.update(dynamics.start_errors)  # of the problem
             return made
-        with of_leaves(whole) as leaves:
-            return self._locked(whole, dynamics)._replace(leaves=leaves)
+        with of_leaves(whole):
+            return self._locked(whole, dynamics)  # without leaves: the adjoint needs them before locks take hold
 
     def _locked(self, whole: Dynamics, dynamics: Dynamics) -> Prepared:
         """As `_first_segment`, with locks that hold the joints as they are closed."""
@@ -189,7 +189,12 @@ class MultiphaseRun:
         """Data of these names as leaves, and the initial state of some lanes and the dynamics of the first segment as
         functions of these: as the motion had them where it was made of leaves."""
         record, made = self.records[0], self.start_as_made
-        if made is not None and set(names).issubset(made.leaves) and list(lanes) == list(range(self.whole.lanes)):
+        if (
+            made is not None
+            and names
+            and set(names).issubset(made.leaves)
+            and list(lanes) == list(range(self.whole.lanes))
+        ):
             made.condensed.share_rank(record.condensed)
             return LaneLeaves(self.views, lanes, made.whole, names, are_made=True), made
         leaves = LaneLeaves(self.views, lanes, lanes_of(self.whole.with_data(self.data_without_marks), lanes), names)
