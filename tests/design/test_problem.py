@@ -214,7 +214,7 @@ def test_the_status_of_a_design_names_no_lane(monkeypatch):
         cut = tuple(np.flatnonzero(X[:, 0] > 1.0).tolist())
         if cut:
             noun = f"modes = 2{lane_name(cut[0], len(X))}"
-            raise CutCluster(("rod", "modes"), 2, "must not divide modes", "", cut, 3, noun)
+            raise CutCluster(("rod", "modes"), 2, ": must not divide modes", "", cut, 3, noun)
         return motions(X, gradients)
 
     monkeypatch.setattr(part, "_motions", refusing)

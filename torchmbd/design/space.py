@@ -122,7 +122,7 @@ class DesignSpace:
         self.lower, self.upper = self._bounds(bounds)
         for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
             if not low <= high:
-                rule = f"must be below upper = {shown(name, high)}, or equal to it"
+                rule = f"must be below upper = {shown(name, high)}; allowed: also equal to it"
                 noun = f"{_NOUNS['lower']} of {name}"
                 raise InputError(("lower", name), low, rule=rule, noun=noun, shown=shown(name, low))
         self.start = self.point("start", start, values)
