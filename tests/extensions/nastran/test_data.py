@@ -108,10 +108,10 @@ def test_cards_that_change_others_are_refused(card):
 
 
 def test_inertias_that_differ_are_named():
-    with warned("CONM2 9", "[1.0, 2.0, 3.0]", "taken as 2"):
+    with warned("CONM2 9", "[1.0, 2.0, 3.0]", "their mean, 2,"):
         (mass,) = data("GRID,1,,0.,0.,0.\nCONM2,9,1,,5.\n,1.,,2.,,,3.").masses
     assert mass.rotary == pytest.approx(2.0)
-    with warned("CONM2 9", "[0.5, 0.0, 0.0]", "taken as 2"):
+    with warned("CONM2 9", "[0.5, 0.0, 0.0]", "their mean, 2,"):
         data("GRID,1,,0.,0.,0.\nCONM2,9,1,,5.\n,2.,.5,2.,,,2.")
     with refused("CONM2 9 (line 2).CID", "-1"):
         data("GRID,1,,1.,0.,0.\nCONM2,9,1,-1,5.,0.,0.,0.")

@@ -52,7 +52,7 @@ def test_messages_name_cards():
 def test_grids_at_one_place_and_loose_masses():
     """Grids of a seam stay apart and are joined by what the file says; a mass at a grid of no element is left out, by name."""
     text = f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nGRID,60,,0.,2.,0.\nGRID,70,,0.,2.,2.\nGRID,80,,0.,3.,1.\nCTRIA3,7,1,60,80,70,0.\n"
-    with warned("CONM2 9", "2 CONM2 of 5"):
+    with warned("CONM2 9", "2 CONM2 with a total mass of 5"):
         result = made(f"{text}RBE2,8,20,123456,60\nGRID,90,,5.,5.,5.\nCONM2,9,90,,2.\nCONM2,11,90,,3.")
     assert len(result.mesh.nodes) == 8
     assert 90 not in result.index

@@ -47,7 +47,7 @@ def said_once(cache: Path, words: str) -> None:
 
 def test_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
-    said_once(cache, r"no C\+\+ compiler")
+    said_once(cache, r"a C\+\+ compiler is not installed")
 
 
 def test_a_compiler_that_fails(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
