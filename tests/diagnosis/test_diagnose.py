@@ -16,9 +16,9 @@ def test_warnings_can_be_put_off():
     plain = mbd.simulate(system, 0.01, steps=8, start=turning, gradients="none", diagnose=False)
     assert "load_share" not in plain.stats
     with pytest.warns(UserWarning, match=r"tension and pressure|first frequency|retained modes"):
-        told = mbd.simulate(system, 0.01, steps=8, start=turning, gradients="none")
-    assert torch.equal(told.q, plain.q)
-    assert told.status == plain.status
+        diagnosed = mbd.simulate(system, 0.01, steps=8, start=turning, gradients="none")
+    assert torch.equal(diagnosed.q, plain.q)
+    assert diagnosed.status == plain.status
     with refused("diagnose"):
         mbd.simulate(system, 0.01, steps=8, diagnose="no")  # pyright: ignore[reportArgumentType]
 

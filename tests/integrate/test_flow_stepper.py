@@ -23,10 +23,10 @@ NOTHING = mbd.Event(lambda motion: motion.t.expand(motion.lanes, -1) - 0.301, "r
 @pytest.mark.parametrize("until", [0.3, 0.3001])
 @pytest.mark.parametrize("steps", [20, 200])
 def test_a_switch_that_changes_nothing_costs_a_restart(until, steps):
-    options = {"method": "dopri5", "rtol": 1e-6, "atol": 1e-8, "gradients": "none", "backend": "eager"}
+    options = {"method": "dopri5", "rtol": 1e-7, "atol": 1e-8, "gradients": "none", "backend": "eager"}
     plain = mbd.simulate(rotor(), 1.0, steps=steps, **options)
     switched = mbd.simulate(rotor(), 1.0, steps=steps, phases=[mbd.Phase(until=until), mbd.Phase()], **options)
-    assert switched.stats["evaluations"] <= plain.stats["evaluations"] + 60  # ten steps, as the processor rounds
+    assert switched.stats["evaluations"] < plain.stats["evaluations"] + 60
     assert_close(switched.q, plain.q, rtol=0, atol=1e-5)
 
 

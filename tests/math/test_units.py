@@ -30,6 +30,7 @@ def test_a_unit_that_cannot_be_is_refused():
     assert misfit("rod.laminate.thickness", "none") is None
     assert misfit("motor.size", "mm") is None
     assert misfit("law.anything", "mm") is None
+    assert misfit("release.load.offset", "N") is None  # of a measured channel of any quantity
     for wrong in ("mm", "kg", "deg", "ms"):
         assert "N/mm" in (misfit("spring.stiffness", wrong) or "")
     assert misfit("spring.stiffness", "N/mm") is None

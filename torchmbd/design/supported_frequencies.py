@@ -31,7 +31,7 @@ def check_supports(system: System, body: str, supports: Supports, number: int) -
     """InputError for supports that a body cannot have, or a number of frequencies beyond its degrees of freedom."""
     most = _case(system, body, supports).most
     if number > most:
-        raise InputError("number", number, f"1 to {most}, the free degrees of freedom of {body!r}")
+        raise InputError("number", number, f"1 to {most}, the degrees of freedom that {body!r} has on its supports")
 
 
 def _case(system: System, name: str, supports: Supports) -> VibrationCase:

@@ -8,10 +8,10 @@ origin, nor a unit, nor a constant in a response changes the verdict:
     else, or best is start     error of the best value   <= GAIN   max(size, |f(start) - f(best)|)
     constraint, each row       excess                    <= LIMIT  max(size, |g(start) - g(best)|), or its own scale
 
-So rows that are far from their limits do not change the verdict on the others either. Limits "initial" are those of the initial
-design there. Of a constraint of several rows the one nearest to its limit is told. Over tolerances (RobustProblem) values and
-errors are those of the nominal design. Ends of other starts are judged where their values lie within twice the error of the
-best one.
+So a row that is far from its limit does not change the verdict on another row. For a limit "initial", the finer model has a
+limit of its own. The table shows the row of a constraint that is nearest to its limit. Over tolerances (RobustProblem) values
+and errors are those of the nominal design. Ends of other starts are judged where their values lie within twice the error of
+the best one.
 Checked in tests/design/test_verification.py.
 """
 
@@ -216,7 +216,7 @@ class _Response:
 
     @property
     def causes(self) -> set[str]:
-        """What leaves the errors, of "steps", "modes" and "mesh": those within a factor of ten of the largest."""
+        """The causes of the errors: "steps", "modes" or "mesh", each with an error of at least a tenth of the largest."""
         errors = {name: float(x.abs().nan_to_num().max()) for name, x in self.error.parts.items()}
         return {name for name, error in errors.items() if error >= _COUNTS * max(errors.values())}
 

@@ -1,1 +1,1 @@
-"""What is told of models and motions beside their numbers: warnings, causes of failures, errors of responses."""
+"""What a motion says beside its numbers: warnings, causes of failures, errors of responses."""

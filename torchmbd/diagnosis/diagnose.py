@@ -1,4 +1,4 @@
-"""What is told of every model and of every motion: `Simulation` calls these functions before and after it integrates.
+"""The warnings about every model and every motion. `Simulation` calls these functions before and after it integrates.
 
 `diagnose=False` puts `warn_of_model` and `warn_of_motion` off. The status of a lane says the same in both cases.
 Checked in tests/diagnosis/test_diagnose.py, and where each function is.

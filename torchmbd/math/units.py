@@ -68,7 +68,7 @@ QUANTITIES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys("xyz", ("m", "N", "N m")),  # of a point, a force, a torque
     "stiffness": ("N/m", "N m"),  # of a spring along a line, about an axis
     "damping": ("s",),  # of a body; that of a damper, N s/m or N m s/rad, has no name here
-    **dict.fromkeys(("rest", "lower", "upper", "size", "offset"), ("m", "rad")),
+    **dict.fromkeys(("rest", "lower", "upper"), ("m", "rad")),  # of a spring, of a stop
     **dict.fromkeys(("delay", "duration"), ("s",)),
     "velocity": ("m/s",),
     "angular_velocity": ("rad/s",),

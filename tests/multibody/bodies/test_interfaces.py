@@ -39,7 +39,7 @@ def test_six_freedoms_for_each_interface():
 
 
 def left_out(body: mbd.FlexibleBody) -> float:
-    """Of the static flexibility of the mesh at the frames of both edges (diagnosis/truncation.py)."""
+    """The share of the static flexibility at both edges that the modes leave out (diagnosis/truncation.py)."""
     frames = mbd.Ground().at(-LENGTH / 2, 0, 0), body.at("left_edge")
     tool = mbd.RigidBody("tool", 0.5, (1e-3, 1e-3, 1e-3))
     joints = [mbd.Fixed(*frames), mbd.Fixed(body.at("right_edge"), tool.at())]

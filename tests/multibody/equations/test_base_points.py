@@ -1,4 +1,4 @@
-"""What a model computes does not depend on where the origins of its rigid bodies are."""
+"""The origins of rigid bodies do not change the motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ AXES = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
 
 
 def double_pendulum(arm: tuple[float, float, float], phases: bool = False) -> mbd.System:
-    """Of two bodies whose centers of mass are at `arm` from their origins, b with axes that are turned."""
+    """A double pendulum: both bodies have their center of mass at `arm` from their origin, and body b has turned axes."""
     c, ground = torch.tensor(arm, dtype=torch.float64), mbd.Ground()
     turned = c @ torch.tensor(AXES, dtype=torch.float64).T
 

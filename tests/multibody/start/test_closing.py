@@ -112,8 +112,8 @@ def test_a_joint_that_bends_a_body_is_closed_by_the_equilibrium():
     with pytest.warns(UserWarning, match="'hook' by 0.005 m; they are closed in the static equilibrium of the start"):
         motion = mbd.simulate(system, 0.01, steps=2, start="equilibrium", gradients="none").require_ok()
     assert float(motion.body("boom").r[0, 0].norm()) < 1e-9
-    found = system.describe()
-    assert [way.name for way in found.closing.joints] == ["hook"]
-    assert not found.closing.bodies
-    assert (found.closes, found.frequencies) == (False, ())
-    assert "not closed  no rigid displacement closes these joints" in str(found)
+    description = system.describe()
+    assert [way.name for way in description.closing.joints] == ["hook"]
+    assert not description.closing.bodies
+    assert (description.closes, description.frequencies) == (False, ())
+    assert "not closed  no rigid displacement closes these joints" in str(description)

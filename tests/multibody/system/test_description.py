@@ -136,6 +136,6 @@ def test_a_body_that_falls_freely_has_no_frequencies_of_gravity():
     free = mbd.RigidBody("free", 1.0, inertia, (0.3, 0.0, 0.1))
     bob = mbd.RigidBody("bob", 1.0, inertia, (0.0, -1.0, 0.0))
     hinge = mbd.Revolute(mbd.Ground().at(), bob.at(), axis="z")
-    found = mbd.System([free, bob], [hinge], gravity=(0.0, -9.81, 0.0), free=["free"]).describe()
+    description = mbd.System([free, bob], [hinge], gravity=(0.0, -9.81, 0.0), free=["free"]).describe()
     swing = (9.81 / 1.3) ** 0.5 / (2.0 * math.pi)
-    assert found.frequencies == pytest.approx([0.0] * 6 + [swing], abs=1e-6)
+    assert description.frequencies == pytest.approx([0.0] * 6 + [swing], abs=1e-6)

@@ -120,7 +120,9 @@ class BucklingCase:
         """
         supported, assembly = self.supported, self.supported.assembly
         if not is_whole(number) or not 1 <= number <= supported.pattern.size:
-            allowed = f"1 to {supported.pattern.size}, the free degrees of freedom of {self.body.name!r}"
+            allowed = (
+                f"1 to {supported.pattern.size}, the degrees of freedom that {self.body.name!r} has on its supports"
+            )
             raise InputError("number", number, allowed)
         K = assembly.stiffness()
         inner = supported.restricted(K)

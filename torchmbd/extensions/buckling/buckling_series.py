@@ -76,7 +76,9 @@ class BucklingSeries:
         supported, lanes = self.supported, len(c)
         if number > supported.pattern.size:
             raise InputError(
-                "number", number, f"1 to {supported.pattern.size}, the free degrees of freedom of {supported.name!r}"
+                "number",
+                number,
+                f"1 to {supported.pattern.size}, the degrees of freedom that {supported.name!r} has on its supports",
             )
         finite = torch.isfinite(c.detach()).all(-1, keepdim=True)
         c = torch.where(finite, c, 0.0)

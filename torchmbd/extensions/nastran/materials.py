@@ -116,8 +116,8 @@ def _isotropic(card: Card, units: Units, weight_to_mass: float) -> Ply:
 
 def _expansion(card: Card, *fields: tuple[int, str]) -> list[float | None]:
     """Coefficients of thermal expansion; None if all are blank, and zero for one that is blank beside others."""
-    given = any(card.text(k) for k, _ in fields)
-    return [card.real(k, name, 0.0) if given else None for k, name in fields]
+    expands = any(card.text(k) for k, _ in fields)
+    return [card.real(k, name, 0.0) if expands else None for k, name in fields]
 
 
 def _ply(card: Card, units: Units, weight_to_mass: float) -> Ply:

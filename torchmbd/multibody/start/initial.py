@@ -267,8 +267,8 @@ class InitialConditions:
         if bool(same.any()):
             lane = int(same.nonzero()[0, 0])
             start, q = (x[..., min(lane, x.shape[-1] - 1)][..., None] for x in (start, q))
-            one = dynamics.select_lanes([lane]) if dynamics.lanes > 1 else dynamics
-            warn_far(Closing.of(one, start, q), self.in_equilibrium)
+            of_lane = dynamics.select_lanes([lane]) if dynamics.lanes > 1 else dynamics
+            warn_far(Closing.of(of_lane, start, q), self.in_equilibrium)
 
     def _warn_strained(self, dynamics: Any, unstrained: Tensor, q: Tensor) -> None:
         """Warn of joints that no rigid motion of exact beams closes."""

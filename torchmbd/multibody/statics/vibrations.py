@@ -98,7 +98,7 @@ class VibrationCase:
         """
         supported = self.supported
         if not is_whole(number) or not 1 <= number <= self.most:
-            allowed = f"1 to {self.most}, the free degrees of freedom of {supported.name!r}"
+            allowed = f"1 to {self.most}, the degrees of freedom that {supported.name!r} has on its supports"
             raise InputError("number", number, allowed)
         K, M = self._matrices()
         first, end = self.rigid, self.rigid + int(number)
