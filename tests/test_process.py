@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import platform
 import subprocess
 import sys
 import warnings
@@ -24,6 +25,28 @@ def test_a_process_has_one_thread_unless_the_environment_says_otherwise():
         environment = {key: value for key, value in os.environ.items() if key not in ONE_THREAD} | given
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
         assert done.stdout.split() == [expected]
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries have no such setting")
+def test_freed_memory_is_used_again_unless_the_environment_says_otherwise():
+    code = """
+import resource, sys, torch
+from torchmbd.process import keep_freed_memory
+kept = keep_freed_memory()
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    torch.ones(5_000_000, dtype=torch.float64)  # 40 MB, 10,000 pages
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+warm_up = [faults() for _ in range(20)]  # the heap grows to what its rests need
+print(kept, faults())
+"""
+    for given, expected in (({}, True), ({"MALLOC_TRIM_THRESHOLD_": "131072"}, False)):
+        environment = os.environ | given
+        done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+        kept, faults = done.stdout.split()
+        assert kept == str(expected)
+        assert (int(faults) < 100) is expected
 
 
 def test_the_number_of_threads_is_that_of_the_call_the_environment_or_the_cores(monkeypatch):

@@ -7,6 +7,7 @@ Checked in tests/test_process.py, tests/extensions/native/test_threads.py.
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import math
 import os
@@ -21,6 +22,8 @@ from pathlib import Path
 
 from torchmbd.errors import InputError
 
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # names of malloc.h for `mallopt`
+_KEPT = 512 * 2**20  # bytes; 128 designs: 0.91 of the time with 512 MB, 0.95 with 256 MB, 1 with 128 MB
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 THREADS = "TORCHMBD_THREADS"
 _CONTROL_GROUPS, _OF_PROCESS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
@@ -79,6 +82,22 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(count)
+
+
+@cache
+def keep_freed_memory() -> bool:
+    """Let this process keep up to 512 MB of freed memory for its next tensors; return whether its C library can.
+
+    glibc gives each freed tensor of more than 32 MB back to the system, and the system fills the pages of the next one with
+    zeros. On a virtual machine this is a third of what threads do not share in an evaluation of 128 designs. Settings of
+    malloc in the environment have precedence.
+    """
+    if os.environ.keys() & {"MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES"}:
+        return False
+    if not hasattr(os, "confstr") or "CS_GNU_LIBC_VERSION" not in os.confstr_names:
+        return False  # mallopt of other C libraries has other meanings
+    mallopt = ctypes.CDLL(None).mallopt
+    return all([mallopt(_TRIM_THRESHOLD, _KEPT), mallopt(_MMAP_THRESHOLD, _KEPT)])
 
 
 class threads:

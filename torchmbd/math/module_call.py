@@ -25,7 +25,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.math.vmap import as_lanes
-from torchmbd.process import one_thread
+from torchmbd.process import keep_freed_memory, one_thread
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -35,6 +35,7 @@ _LOCK = threading.RLock()
 @contextmanager
 def alone() -> Iterator[None]:
     """Keep other threads out of exclusive functions, and operators of torch in one thread."""
+    keep_freed_memory()
     with _LOCK, one_thread():
         yield
 
