@@ -227,6 +227,28 @@ def test_sections_of_an_unbalanced_stack_shear_as_plates():
     assert float(free[2:].abs().max()) < 1e-9
 
 
+@pytest.mark.parametrize("angles", [[30, 60], [10, 60], [20, -50, 75], [10, 60, -25]])
+def test_shear_of_an_unsymmetric_strip_is_that_on_which_a_force_works(angles):
+    """Classical lamination has other numbers: gamma = gamma_xy + 2 c / a kappa_y + b / (2 a) kappa_xy.
+
+    A bending moment in the plane, strain eps_x = y kappa_z, causes N_x = a eps_x, M_x = b eps_x, M_xy = c eps_x in the plies.
+    A force V_y has this moment x V_y, so M_xy' = Q and M_y = 2 c / a (3 / 2 V_y / w) (1 - 4 y^2 / w^2), which works on the
+    curvature kappa_y of the free strip; M_x works on the warping that comes with kappa_xy. [30, 60]: 9 % of gamma_xy.
+    """
+    laminate = mbd.Laminate(CARBON, mbd.deg(angles), 0.25e-3)
+    (_, _, gamma), (_, bent, twisted) = (x.detach() for x in laminate.expansion(1.0)[2:4])
+    A, B, D = (x.detach() for x in laminate.stiffness()[:3])
+    matrix = torch.cat([torch.cat([A, B], 1), torch.cat([B, D], 1)])
+    strain, free = torch.eye(6, dtype=torch.float64)[0], [1, 2, 4]  # without N_y, N_xy, M_y; kappa_x = kappa_xy = 0
+    strain[free] = -torch.linalg.solve(matrix[free][:, free], matrix[free, 0])
+    a, b, c = (matrix @ strain)[[0, 3, 5]]
+    expected = gamma + 2.0 * c / a * bent + 0.5 * b / a * twisted
+    strips = [mbd.sections.strip(w, CARBON, mbd.deg(angles), thickness=0.25e-3) for w in (0.04, 0.08)]
+    narrow, wide = (section.free_strain("temperature").detach()[1] for section in strips)
+    assert abs(float(expected - gamma)) > 0.05 * abs(float(gamma))
+    assert float(2.0 * wide - narrow) == pytest.approx(float(expected), rel=1e-3)  # edges fall with the width
+
+
 @pytest.mark.thorough
 def test_a_warm_beam_between_walls_vibrates_more_slowly():
     """f^2 of a beam on two hinges is (1 - P / P_E) times that without load, of P = E A alpha T and Euler's load P_E."""

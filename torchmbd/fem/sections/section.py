@@ -204,7 +204,11 @@ class Section(nn.Module):
         return SectionStress((T @ strain @ load)[..., 0], (back @ stress @ load)[..., 0], g.points)
 
     def free_strain(self, change: str) -> Float[Tensor, "*lanes 6"]:
-        """Strains of the free section by a unit change: by Betti, <stress of unit forces, free strain>."""
+        """Strains of the free section by a unit change: by Betti, <stress of unit forces, free strain>.
+
+        The shear strains are those on which shear forces do work. An unsymmetric strip has other ones by lamination theory:
+        moments of the plies, which accompany a shear force, work on the free curvature across the strip.
+        """
         return self.geometry.energy(self.unit_fields().stress, self._free_strains(change))[..., 0]
 
     def expansion(self, change: str) -> SectionExpansion:
