@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import permutations, product
 
 import pytest
 import torch
@@ -43,6 +44,36 @@ def test_angle_of_a_hinge_grows_with_time():
     assert float(wrapped.max()) <= math.pi
     turns = (result - wrapped) / (2.0 * math.pi)
     assert_close(turns, turns.round(), rtol=0, atol=1e-9)
+
+
+def cube_rotations() -> list[torch.Tensor]:
+    """The 24 rotations that map the axes onto axes."""
+    identity = torch.eye(3, dtype=torch.float64)
+    signed = [
+        identity[list(p)] * tensor(s)[0][:, None]
+        for p in permutations(range(3))
+        for s in product((1.0, -1.0), repeat=3)
+    ]
+    return [x for x in signed if torch.linalg.det(x) > 0.0]
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_angle_grows_with_time_however_the_axes_of_the_body_are_put(axis):
+    """The body axis of the default lies along the hinge in eight of the 24: they give the angle of another axis."""
+    rate, ground, rotations = 1.5, mbd.Ground(), cube_rotations()
+    assert len(rotations) == 24
+    doors = [box(f"door_{k}", axes=axes) for k, axes in enumerate(rotations)]
+    joints: list = []
+    for door in doors:
+        joints += [mbd.Revolute(ground.at(), door.at(), axis=axis), mbd.Drive(ground, door, axis=axis, speed=rate)]
+    post = box("post", axes=turned(0.4, -0.7, 0.3))
+    system = mbd.System([post, *doors], [mbd.Fixed(ground.at(), post.at()), *joints])
+    motion = mbd.simulate(system, 0.2, steps=4, backend="eager", diagnose=False).require_ok()
+    e = torch.eye(3, dtype=torch.float64)["xyz".index(axis)]
+    for door in doors:
+        for observer, direction in (("ground", e), ("post", post.axes.T @ e)):
+            angle = Angle(door.name, tuple(direction.tolist()), seen_from=observer)(motion)[0]
+            assert_close(angle - angle[0], rate * motion.t, rtol=0, atol=1e-9)
 
 
 def test_angle_between_two_bodies_is_that_of_their_rotation():

@@ -5,6 +5,9 @@
 e       axis, in the axes of the observer
 theta   the body's rotation about e if it turns about e alone; else the angle of u, projected along e    [rad]
 
+At the given positions of the bodies R u is at least 45 degrees from e: a plate that stands upright has its y axis along z, and
+its angle about z is that of its x axis.
+
 theta is within half a turn of `center` at the start and continuous from there on: of two times the turns between follow from
 the mean of the rates there, so that a body may turn far in a step. The event of a phase sees the same angle (turns.py).
 Differentiable where the turned u is not parallel to e.
@@ -84,9 +87,7 @@ class Angle(History):
     def wrapped_jet(self, motion: Trajectory) -> tuple[Tensor, Tensor]:
         """The angle within half a turn of `center`, and its rate [lanes, times]."""
         e = unit_vector(self.axis)
-        u = torch.eye(3, dtype=e.dtype)[int(e.abs().argmin())]
-        u = torch.linalg.cross(e, u)
-        u = u / u.norm()
+        u = self._arm(motion.system, e)
         across = torch.linalg.cross(e, u)
         body = motion.body(self.body)
         turned, rate = body.A @ u, (body.A @ torch.linalg.cross(body.omega, u.expand_as(body.omega))[..., None])[..., 0]
@@ -99,3 +100,13 @@ class Angle(History):
         angle = torch.atan2(c * sine - s * cosine, c * cosine + s * sine) + self.center
         square = (sine * sine + cosine * cosine).detach()
         return angle, (cosine * (rate @ across) - sine * (rate @ u)) / torch.where(square > 0.0, square, 1.0)
+
+    def _arm(self, system: System, e: Tensor) -> Tensor:
+        """The unit vector u across e: of two that are perpendicular, at most one is less than 45 degrees from e when turned."""
+        u = torch.linalg.cross(e, torch.eye(3, dtype=e.dtype)[int(e.abs().argmin())])
+        u = u / u.norm()
+        turned = system.body(self.body).axes.detach() @ u
+        if self.seen_from != GROUND:
+            turned = system.body(self.seen_from).axes.detach().T @ turned
+        along = float(e @ turned)
+        return torch.linalg.cross(e, u) if abs(along) > math.sqrt(0.5) + 1e-12 else u

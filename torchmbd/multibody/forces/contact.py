@@ -133,9 +133,7 @@ class RotationalStop(_Stop):
             )
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
-        a, b = self.frames
-        x, y = other_axes(self.axis)
-        vectors = attachments.axis(a, x), attachments.axis(a, y), attachments.axis(b, x)
+        vectors = attachments.turning_axes(self.name, *self.frames, self.axis)
         yield Applied(Turn, vectors, self._port(self.middle))
 
 

@@ -17,7 +17,7 @@ from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.forces.action import Along, Law, Length, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.laws import Spring, check_law
-from torchmbd.multibody.joints.joint import AttachmentTable, other_axes
+from torchmbd.multibody.joints.joint import AttachmentTable
 
 
 class _Between(ForceElement):
@@ -101,7 +101,8 @@ class RotationalSpringDamper(_Between):
     """Spring and damper about an axis of frame a, for a hinge.
 
     The angle is measured about `axis`, from the next axis of frame a to the same axis of frame b (for axis "z": from x of a
-    to x of b). It lies within half a turn of the rest angle, or of `law.center`.
+    to x of b). It lies within half a turn of the rest angle, or of `law.center`. A frame b whose x axis is along `axis` shows no
+    angle and is refused; give it other axes: `body.at(point, axes=...)`.
 
     arguments  stiffness [N m/rad], damping [N m s/rad], rest [rad], or a law f(theta, theta', t) [N m] on b about the axis;
                and the name
@@ -120,6 +121,4 @@ class RotationalSpringDamper(_Between):
         self.axis = axis
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
-        a, b = self.frames
-        x, y = other_axes(self.axis)
-        yield Applied(Turn, (attachments.axis(a, x), attachments.axis(a, y), attachments.axis(b, x)), self.law)
+        yield Applied(Turn, attachments.turning_axes(self.name, *self.frames, self.axis), self.law)

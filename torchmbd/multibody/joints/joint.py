@@ -29,6 +29,9 @@ from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.bodies.stiffening import turned_arm
 
 
+_LEAST_ARM = 0.1  # rad, as that of `common_axis`: deformations of a body turn its axes by less
+
+
 class Equation(NamedTuple):
     """One primitive: its kind, the indices of its vectors, and its own data (a length or a law)."""
 
@@ -153,6 +156,23 @@ class AttachmentTable:
         matrix = other.body.axes.T @ frame.body.axes
         vector = other.body.axes.T @ (frame.body.axes @ frame.axis(axis))
         return self._add(other.body, vector, other.interpolation, False, frame.varying, axis, matrix)
+
+    def turning_axes(self, name: str, a: Frame, b: Frame, axis: str) -> tuple[int, int, int]:
+        """Indices of the axes x and y of frame a that follow `axis`, and of x of frame b, whose angle from x of a is measured.
+
+        Raises InputError if x of b is within 0.1 rad of `axis` at the given positions: it shows no angle about it.
+        """
+        x, y = other_axes(axis)
+        arm = b.body.axes @ b.axis(x)
+        if float(torch.linalg.cross(a.body.axes @ a.axis(axis), arm).norm()) < _LEAST_ARM:
+            raise InputError(
+                (name, "b"),
+                allowed=f"a frame whose {x} axis is across the axis {axis!r} of {a!r}",
+                noun=f"{b!r} of {name!r}",
+                state=f"has its {x} axis along it, from which the angle is measured",
+                hint="axes=..., of the frame: body.at(point, axes=...)",
+            )
+        return self.axis(a, x), self.axis(a, y), self.axis(b, x)
 
     def coincident_point(self, frame: Frame, other: Frame) -> int:
         """Index of the point on the other body that coincides with the point of the first frame at the given positions."""
