@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 
-import pytest
 import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.design.test_angle import cube_rotations
-from tests.mechanisms import box
 from tests.refused import refused
 
 J, K = 0.02, 3.0

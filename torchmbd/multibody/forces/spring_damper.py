@@ -101,8 +101,8 @@ class RotationalSpringDamper(_Between):
     """Spring and damper about an axis of frame a, for a hinge.
 
     The angle is measured about `axis`, from the next axis of frame a to the same axis of frame b (for axis "z": from x of a
-    to x of b). It lies within half a turn of the rest angle, or of `law.center`. A frame b whose x axis is along `axis` shows no
-    angle and is refused; give it other axes: `body.at(point, axes=...)`.
+    to x of b). It lies within half a turn of the rest angle, or of `law.center`. A frame b whose x axis is along `axis` shows
+    no angle and is refused: give the frame other axes, `body.at(point, axes=...)`.
 
     arguments  stiffness [N m/rad], damping [N m s/rad], rest [rad], or a law f(theta, theta', t) [N m] on b about the axis;
                and the name

@@ -28,7 +28,6 @@ from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.bodies.stiffening import turned_arm
 
-
 _LEAST_ARM = 0.1  # rad, as that of `common_axis`: deformations of a body turn its axes by less
 
 
