@@ -144,6 +144,25 @@ def test_columns_that_are_zero_or_inside_the_retained_span_give_zero():
     assert Z.abs().max() < 1e-12
 
 
+@pytest.mark.parametrize("heavy", [1e4, 1e6, 1e8])
+def test_a_payload_leaves_the_deflated_solve_exact(heavy):
+    """A mass at one node makes the lowest eigenvalue small beside the others, and the columns nearly all its mode: the residual
+    must keep no part in the retained modes, of which conjugate gradients would be none but rounding."""
+    K_form, K, M_form, M = problem(shuffled=False, free=False, mass="diagonal")
+    M = M.clone()
+    M[:, 200] *= heavy
+    modes = SparseModes(K_form, M_form, K, M, 5)
+    values, psi = modes.lowest()
+    values = values[:, None, :5]
+    assert float((values[..., 4] / values[..., 0]).min()) > 0.03 * heavy
+    M_psi = M_form.multiply(M, psi)
+    outside = torch.randn(LANES, N, 5, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    outside = 1e-6 * (outside - M_psi @ (psi.mT @ outside))
+    Z = modes.deflated_solve((outside + M_psi.sum(2, keepdim=True))[:, :, None])[:, :, 0]
+    left = K_form.multiply(K, Z) - M_form.multiply(M, Z) * values
+    torch.testing.assert_close(left, outside, rtol=0, atol=1e-8 * float(outside.abs().max()))
+
+
 def test_partition_of_a_shuffled_grid_is_as_good_as_of_the_ordered_one():
     ordered, shuffled = (partition(Sparse(grid(flag)), Diagonal(N)) for flag in (False, True))
     assert max(ordered.sizes) == 24  # three lines of 4 x 2 freedoms, merged to the smallest block
