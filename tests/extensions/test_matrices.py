@@ -170,6 +170,21 @@ def test_a_file_that_does_not_exist():
         read_matrix("none.mtx")
 
 
+@pytest.mark.parametrize("begin", ["BEGIN SUPER     111", "BEGIN SUPER=111"])
+def test_the_punch_file_of_one_external_superelement(begin, tmp_path):
+    """Nastran writes comments and BEGIN SUPER above its cards; generalized coordinates are scalar points."""
+    file = tmp_path / "part.pch"
+    cards = ["GRID,7,,0.,0.,0.", "SPOINT,901", "DMIG,KAAX,0,6,2,0", "DMIG,KAAX,7,1,,7,1,4.", "DMIG,KAAX,901,0,,901,0,9."]
+    file.write_text("\n".join(["$ STANDARD PUNCH (.PCH) FILE FOR EXTERNAL SUPERELEMENT 111", "$", begin, *cards, ""]))
+    matrix = mbd.read_matrix(file)
+    assert matrix.rows == [(7, 1), (901, 1)]
+    assert matrix.matrix.toarray().tolist() == [[4.0, 0.0], [0.0, 9.0]]
+    file.write_text("\n".join(["GRID,1,,0.,0.,0.", begin, *cards, ""]))
+    with refused("part.pch, line 2"):
+        mbd.read_matrix(file)
+
+
+
 def test_a_matrix_is_not_refused_for_its_neighbor(tmp_path):
     """Complex and rectangular matrices beside it are refused where they are asked for; before and behind it."""
     one, two = "1.0000000000000000E+00", "2.0000000000000000E+00"

@@ -38,6 +38,17 @@ def test_a_unit_that_cannot_be_is_refused():
     assert misfit("tip.mass", "Hz") is not None
 
 
+def test_units_of_changes_of_temperature():
+    """A change of 9 degF is one of 5 K; coefficients of expansion and gradients have their own units."""
+    assert 9.0 * factor("degF") == pytest.approx(5.0 * factor("K"), rel=1e-15)
+    assert factor("degC") == factor("K") == 1.0
+    assert misfit("panel.laminate.ply.alpha2", "ppm/K") is None
+    assert misfit("cooling.temperature", "degC") is None
+    assert "K, degC, degF" in (misfit("cooling.temperature", "K/m") or "")
+    assert "1/K, ppm/K" in (misfit("rod.section.alpha", "deg") or "")
+    assert misfit("cooling.gradient", "K/mm") is None
+
+
 def test_lengths_of_files():
     assert (meters("scale", "in"), meters("scale", 1e-3), meters("scale", "ft")) == (0.0254, 1e-3, 0.3048)
     for given in ("deg", "inch", 0.0, -1.0, None, math.inf, True):

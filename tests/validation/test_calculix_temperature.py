@@ -102,7 +102,8 @@ def bricks(folder: Path, angles: list, thickness: list, T: float, g: float) -> t
     moved = run(folder, lines)
     middle = int(np.abs(z).argmin())
     rows = [(x[i], y[j], *moved[k - 1]) for (i, j, m), k in number.items() if m == middle and i % 2 == j % 2 == 0]
-    return torch.tensor(rows, dtype=torch.float64).split([2, 3], 1)
+    table = torch.tensor(rows, dtype=torch.float64)
+    return table[:, :2], table[:, 2:]
 
 
 def inner(places: Tensor) -> Tensor:

@@ -53,6 +53,13 @@ UNITS: dict[str, tuple[float, str]] = {
     "rad/s": (1.0, "rad/s"),
     "deg/s": (math.pi / 180.0, "rad/s"),
     "rpm": (math.pi / 30.0, "rad/s"),
+    "K": (1.0, "K"),  # of changes of temperature, as degC and degF: without their zeros
+    "degC": (1.0, "K"),
+    "degF": (5.0 / 9.0, "K"),
+    "K/m": (1.0, "K/m"),
+    "K/mm": (1e3, "K/m"),
+    "1/K": (1.0, "1/K"),
+    "ppm/K": (1e-6, "1/K"),
     NONE: (1.0, ""),
 }
 
@@ -73,6 +80,8 @@ QUANTITIES: dict[str, tuple[str, ...]] = {
     "velocity": ("m/s",),
     "angular_velocity": ("rad/s",),
     "speed": ("rad/s", "m/s"),
+    "temperature": ("K",),  # its change (multibody/forces/temperature.py)
+    **dict.fromkeys(("alpha", "alpha1", "alpha2"), ("1/K",)),
 }
 
 

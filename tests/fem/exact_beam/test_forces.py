@@ -36,7 +36,9 @@ def state() -> tuple[BeamData, torch.Tensor, torch.Tensor]:
         some(4, 6),
     )
     mass = (some(4).abs(), some(4, 3), A @ A.mT)
-    data = BeamData(S @ S.mT, 0.3 * some(3, 6), *parts, *mass, some(3), some(3), some(3), torch.zeros(4, 6))
+    data = BeamData(
+        S @ S.mT, 0.3 * some(3, 6), *parts, *mass, some(3), some(3), some(3), torch.zeros(4, 6), 0.1 * some(3, 6)
+    )
     return data, some(4, 3), exponential(0.5 * some(4, 3))
 
 
@@ -48,7 +50,7 @@ def test_stiffness_is_the_derivative_of_the_residual(state):
         return residual(data, topology, x + q[:, :3], rotated(R, q[:, 3:]), 0.7)
 
     J = torch.func.jacfwd(moved)(torch.zeros(4, 6, dtype=torch.float64)).reshape(24, 24)
-    K, _ = Continuation(topology, 4).stiffness(data, x, R, screw_forces(data, topology, x, R), 0.7)
+    K, _ = Continuation(topology, 4).stiffness(data, x, R, screw_forces(data, topology, x, R, 0.7), 0.7)
     torch.testing.assert_close(torch.from_numpy(K.toarray()), -J, rtol=1e-11, atol=1e-11)
 
 
@@ -148,7 +150,7 @@ def test_forces_have_a_potential(state):
 
     def energy(q: torch.Tensor) -> torch.Tensor:
         l, _, _ = screws(data, topology, x + q[:, :3], rotated(R, q[:, 3:]))
-        d = (l - data.screws)[..., None]
+        d = (l - data.screws - data.free)[..., None]
         return 0.5 * (d.mT @ data.stiffness @ d).sum()
 
     result = torch.func.grad(energy)(torch.zeros(4, 6, dtype=torch.float64))

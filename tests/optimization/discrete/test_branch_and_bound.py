@@ -163,6 +163,36 @@ def test_continuous_variables_stay_continuous():
     assert result.certificate.neighbors == 24
 
 
+def waves(slope: float = -0.2) -> Analytic:
+    """A minimum near each even number, the lower the farther along the slope."""
+    return Analytic("waves", [0.1], lambda x: 2 - np.cos(np.pi * x[0]) + slope * x[0], lower=-2.0, upper=4.0)
+
+
+@pytest.mark.parametrize("slope", [-0.2, 0.2, -1.5])
+@pytest.mark.parametrize("allowed", [1.0, [1.0, None], [[-2.0, 0.0, 1.0, 2.0, 3.0], None]])
+@pytest.mark.parametrize("boxes", [0, 1000])
+def test_a_worst_case_is_that_of_each_design(slope, allowed, boxes):
+    """The extra variable is no choice: neighbors are compared by their own worst cases, and so are their values."""
+    robust = mbd.RobustProblem(waves(slope), 0.05, "worst")
+    result = optimize_discrete(robust, allowed, max_boxes=boxes)
+    values = Grid(robust, allowed, robust.lower, robust.upper, None).values[0]
+    worst = {x: max(waves(slope).f([x + d]) for d in (-0.05, 0.05)) for x in values.tolist()}
+    assert all(c.value == pytest.approx(worst[c.x[0]], rel=1e-12) for c in result.candidates)
+    assert all(c.violation <= 1e-12 for c in result.candidates)
+    assert len({c.x[0] for c in result.candidates}) == len(result.candidates)
+    near = [worst[x] for x in values.tolist() if 0.0 < abs(x - result.best.x[0]) <= 2.0]
+    assert result.best.value < min(near)
+    assert result.certificate.closest.value >= min(near)
+    if boxes:
+        assert result.best.value == pytest.approx(min(worst.values()), rel=1e-12)
+        assert result.status == "converged"
+
+
+def test_the_extra_variable_takes_no_increments():
+    with refused("allowed.beta", 1.0):
+        optimize_discrete(mbd.RobustProblem(waves(), 0.05, "worst"), [1.0, 1.0])
+
+
 def test_angles_are_neighbors_across_their_ends():
     problem = Analytic("angle", [60.0], lambda x: 2 - np.cos(2 * np.pi / 180 * (x[0] - 83)), lower=-90, upper=90)
     problem.period = [180.0]

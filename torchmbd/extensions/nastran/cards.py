@@ -208,8 +208,13 @@ def _without_comments(lines: Iterable[tuple[str, str]]) -> Iterator[tuple[str, s
 
 
 def _sections(lines: Lines) -> tuple[Lines | None, Lines]:
-    """The lines above BEGIN BULK, None without it, and those after it, up to ENDDATA."""
+    """The lines above BEGIN BULK, None without it, and those after it, up to ENDDATA.
+
+    BEGIN SUPER is such a line where no other cards are above it: the punch file of one external superelement.
+    """
     begin = next((k for k, (_, x) in enumerate(lines) if x.upper().split()[:2] == ["BEGIN", "BULK"]), None)
+    if begin is None and lines and lines[0][1].upper().replace("=", " ").split()[:2] == ["BEGIN", "SUPER"]:
+        begin = 0
     start = 0 if begin is None else begin + 1
     end = next((k for k, (_, x) in enumerate(lines) if x.strip().upper().startswith("ENDDATA")), len(lines))
     again = [(where, x) for where, x in lines[start:end] if x.upper().split()[:1] == ["BEGIN"]]

@@ -258,6 +258,14 @@ def _isotropic_strain(alpha: Any, change: str) -> Float[Tensor, "*lanes 6"]:
     return torch.as_tensor(alpha, dtype=torch.float64)[..., None] * unit
 
 
+def free_strain_of(section: BeamSection, change: str) -> Float[Tensor, "*lanes 6"]:
+    """Strains of a free section by a unit change; InputError for one that does not expand, or has no coefficient."""
+    if not isinstance(section, ExpandingSection):
+        allowed = "one that has free_strain(change), as a Section of plies"
+        raise InputError("section", section, allowed, noun=f"section {section!r}", state="does not expand")
+    return section.free_strain(change)
+
+
 def definite_stiffness(section: BeamSection) -> Float[Tensor, "*lanes 6 6"]:
     """Stiffness of a section in the present design; InputError where it is not positive definite."""
     S = section.stiffness()

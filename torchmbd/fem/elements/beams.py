@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.beam import BeamMatrices, Line
 from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
-from torchmbd.fem.elements.beam_section import BeamSection, ExpandingSection, definite_stiffness, line_transform
+from torchmbd.fem.elements.beam_section import BeamSection, definite_stiffness, free_strain_of, line_transform
 from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.elements.part import CHANGES, MassPoints
 from torchmbd.fem.elements.plates import MASSES
@@ -135,12 +135,7 @@ class Beams:
         return (torch.linalg.inv(self._to_ends) @ forces)[..., 0]
 
     def _held(self, change: str) -> Float[Tensor, "*lanes m 6"]:
-        if not isinstance(self.section, ExpandingSection):
-            allowed = "one that has free_strain(change), as a Section of plies"
-            raise InputError(
-                "section", self.section, allowed, noun=f"section {self.section!r}", state="does not expand"
-            )
-        strain = self.section.free_strain(change)[..., None, None, :, None]
+        strain = free_strain_of(self.section, change)[..., None, None, :, None]
         return self._present.held_forces(self._stiffness(), (torch.linalg.inv(self._to_line).mT @ strain)[..., 0])
 
     def stressed(self, motion: Float[Tensor, "*lanes n 6 k"], change: str | None = None) -> list[StressedCells]:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torchmbd.fem.elements import BeamLine
 from torchmbd.fem.exact_beam.data import BeamData
-from torchmbd.fem.exact_beam.loads import line_loads, nodal_loads, read_vector
+from torchmbd.fem.exact_beam.loads import element_change, line_loads, nodal_loads, read_vector
 from torchmbd.fem.exact_beam.sections import ElementProperties, SpanSections, block
 from torchmbd.math.gradients import untransformed
 
@@ -72,6 +72,9 @@ def beam_data(
     heavy = massive or bool(untransformed(gravity).any()) or bool(untransformed(spin).any())
     masses = nodal_mass(line, sections, elements) if heavy else _massless(n)
     start, end = elements.axes.unbind(-3)
+    free = torch.zeros(len(line.elements), 6, dtype=torch.float64)
+    for change, screws in elements.free.items():
+        free = free + element_change(change, line, arguments[change])[..., None] * screws
     data = BeamData(
         elements.stiffness,
         elements.screws,
@@ -88,6 +91,7 @@ def beam_data(
         spin,
         center,
         imposed,
+        free,
     )
     return data, symmetric
 

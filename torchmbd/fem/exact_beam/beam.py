@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError, true_or_false
 from torchmbd.fem.elements import BeamLine, BeamMatrices
 from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
+from torchmbd.fem.elements.part import CHANGES
 from torchmbd.fem.exact_beam.assemble import beam_data
 from torchmbd.fem.exact_beam.continuation import STATUS, Continuation
 from torchmbd.fem.exact_beam.data import BeamData, Topology
@@ -30,6 +31,7 @@ from torchmbd.math.checked_numbers import is_whole, parameter, reals
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.module_call import outside_transforms
 
+Change = float | Sequence[float] | Tensor
 _STATIONS, _TURNING = 2, 8  # of prismatic elements; of those that are twisted, tapered or arcs
 _SIDES = torch.tensor([-1.0, 1.0], dtype=torch.float64)  # section forces act on the face whose normal is along the beam
 _WHY = {
@@ -153,6 +155,10 @@ class ExactBeam(nn.Module):
         spin: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         unstable: bool = False,
+        temperature: Change = 0.0,
+        gradient: Change = 0.0,
+        gradient_y: Change = 0.0,
+        moisture: Change = 0.0,
     ) -> BeamState:
         """Find the equilibrium that is reached while all loads grow together from zero.
 
@@ -166,9 +172,13 @@ class ExactBeam(nn.Module):
         gravity             [m/s2]
         spin, center        angular velocity [rad/s] of the supports about an axis through a point [m]: steady rotation
         unstable            True: also follow equilibria that are not stable
+        temperature         change from the temperature at which the beam is free of stress, at the axis of the sections [K]:
+                            a number, or one for each element
+        gradient, gradient_y  change per meter along the z-axis, and along the y-axis, of the sections [K/m]
+        moisture            change of the moisture, a share of the mass [-]
 
-        Differentiable, forward and reverse, by parameters of sections, line and twist, and by loads, gravity, spin and
-        center that are tensors. Moments that keep their directions and follower loads have no potential: for these a
+        Differentiable, forward and reverse, by parameters of sections, line and twist, and by loads, changes, gravity, spin
+        and center that are tensors. Moments that keep their directions and follower loads have no potential: for these a
         change of the determinant's sign counts as buckling. Raises InputError where arguments are wrong.
 
         >>> flat = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=1e-4, Iyy=1e-9, Izz=1e-10, J=3e-10)
@@ -184,6 +194,10 @@ class ExactBeam(nn.Module):
             "gravity": gravity,
             "spin": spin,
             "center": center,
+            "temperature": temperature,
+            "gradient": gradient,
+            "gradient_y": gradient_y,
+            "moisture": moisture,
         }
         search, data, elements = self._problem(supports, arguments, true_or_false("unstable", unstable), massive=False)
         return self._state(search, data, solve(search, data), elements)
@@ -197,11 +211,16 @@ class ExactBeam(nn.Module):
         gravity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         spin: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        temperature: Change = 0.0,
+        gradient: Change = 0.0,
+        gradient_y: Change = 0.0,
+        moisture: Change = 0.0,
     ) -> tuple[Float[Tensor, "*lanes number"], BeamState]:
         """The lowest frequencies [Hz] of small vibrations about an equilibrium, at rest or steadily rotating; and that state.
 
         number     of frequencies
         loads, line_load, supports, gravity, spin, center   as in `equilibrium`: loads that have a potential, so no moments
+        temperature, gradient, gradient_y, moisture         as in `equilibrium`
 
         The mass of the sections is at the nodes. With a spin there are Coriolis's forces, too; vibrations are those that a
         turning observer sees. nan where there is no stable equilibrium: its status says why. Differentiable like the
@@ -222,6 +241,10 @@ class ExactBeam(nn.Module):
             "gravity": gravity,
             "spin": spin,
             "center": center,
+            "temperature": temperature,
+            "gradient": gradient,
+            "gradient_y": gradient_y,
+            "moisture": moisture,
         }
         search, data, elements = self._problem(supports, arguments, False, massive=True)
         count = len(search.topology.free)
@@ -247,7 +270,8 @@ class ExactBeam(nn.Module):
         self, supports: Supports | None, arguments: dict[str, Any], unstable: bool, massive: bool
     ) -> tuple[Continuation, BeamData, ElementProperties]:
         """Return the search for equilibria, the data of the beam under loads, and the properties of its elements."""
-        n, elements = len(self.mesh.nodes), self._elements()
+        acting = [x for x in CHANGES if isinstance(arguments[x], Tensor) or arguments[x] != 0.0]
+        n, elements = len(self.mesh.nodes), self._elements(acting)
         fixed, imposed = supported_freedoms(self.name, self.mesh, supports)
         free = torch.tensor([f for f in range(6 * n) if f not in set(fixed)])
         if not len(free):
@@ -258,12 +282,12 @@ class ExactBeam(nn.Module):
         search = outside_transforms(lambda: Continuation(Topology(self.mesh.elements, free, symmetric), n, unstable))
         return search, data, elements
 
-    def _elements(self) -> ElementProperties:
+    def _elements(self, changes: Sequence[str] = ()) -> ElementProperties:
         """Properties of the elements in the present design."""
         nodes, matrices = present_nodes(self.mesh), self._matrices
         if varying_nodes(self.mesh):
             matrices = matrices.with_nodes(nodes)
-        return element_properties(self.sections, matrices, self.offset, self.twist, nodes)
+        return element_properties(self.sections, matrices, self.offset, self.twist, nodes, changes)
 
     def _state(
         self,

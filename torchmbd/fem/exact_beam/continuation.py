@@ -151,10 +151,10 @@ class Continuation:
                 break
             move, total = torch.from_numpy(increment).reshape(-1, 6), total + increment
             df = (B @ move[self.topology.elements].flatten(1)[..., None])[..., 0]
-            f = screw_forces(data, self.topology, x, R) + df
+            f = screw_forces(data, self.topology, x, R, at) + df
             x, R = x + move[:, :3], exponential(move[:, 3:]) @ R
             settled = np.abs(increment / self._scale).max() <= INCREMENT_TOLERANCE
-            f = screw_forces(data, self.topology, x, R) if settled else f
+            f = screw_forces(data, self.topology, x, R, at) if settled else f
             K, B = self.stiffness(data, x, R, f, at)
             if not np.isfinite(K.data).all():
                 break

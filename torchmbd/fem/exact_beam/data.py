@@ -31,6 +31,7 @@ class BeamData(NamedTuple):
     gravity    [3], m/s2
     spin, center  angular velocity [3], rad/s, about an axis through a point [3], m
     imposed    displacements and rotation vectors of held degrees of freedom [n, 6]
+    free       change of the screws without load by temperature and moisture [m, 6]
     """
 
     stiffness: Float[Tensor, "*lanes m 6 6"]
@@ -48,6 +49,7 @@ class BeamData(NamedTuple):
     spin: Float[Tensor, "*lanes 3"]
     center: Float[Tensor, "*lanes 3"]
     imposed: Float[Tensor, "*lanes n 6"]
+    free: Float[Tensor, "*lanes m 6"]
 
     @property
     def lanes(self) -> torch.Size:
@@ -63,7 +65,7 @@ class BeamData(NamedTuple):
 
 
 #: Axes of each field besides lanes.
-RANKS = (3, 2, 3, 3, 2, 2, 3, 2, 1, 2, 3, 1, 1, 1, 2)
+RANKS = (3, 2, 3, 3, 2, 2, 3, 2, 1, 2, 3, 1, 1, 1, 2, 2)
 
 
 class Topology(NamedTuple):

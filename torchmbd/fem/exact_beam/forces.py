@@ -1,10 +1,11 @@
 """Forces of an exact beam: of its elements, which are screws between two frames, and of its loads.
 
-    l = log(H_1^-1 H_2),    f = (h S)^-1 (l - l_0),    work: f' dl
+    l = log(H_1^-1 H_2),    f = (h S)^-1 (l - l_0 - factor h e),    work: f' dl
 
 H_1, H_2   frames of the sections at the ends, in space
 l, l_0     screws from the first to the second, in its axes, under load and without (math/rigid_motion.py)
 h S        compliance of the sections times the length: strains are constant along the element, in the axes of the section
+e          free strains of the sections by temperature and moisture, which grow with the factor of the loads
 
 Rotations enter by relative motions alone: rigid motions of any size leave l as it is (objective), rotations are matrices
 (no singularity), and an element that bends into an arc or a helix is exact: one element rolls up to a circle, nothing
@@ -51,15 +52,17 @@ def screws(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> tuple[Te
 
 
 def element_wrenches(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> Float[Tensor, "*lanes m 2 6"]:
-    """Forces and moments on both ends of the elements, in the axes of their sections."""
+    """Forces and moments on both ends of the elements under all loads, in the axes of their sections."""
     screw, _, _ = screws(data, topology, x, R)
-    return torch.stack(end_wrenches(screw, _screw_force(data, screw)), -2)
+    return torch.stack(end_wrenches(screw, _screw_force(data, screw, 1.0)), -2)
 
 
-def element_forces(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> Float[Tensor, "*lanes m 12"]:
+def element_forces(
+    data: BeamData, topology: Topology, x: Tensor, R: Tensor, factor: Tensor | float = 1.0
+) -> Float[Tensor, "*lanes m 12"]:
     """Forces and moments on both ends of the elements, in space."""
     screw, first, second = screws(data, topology, x, R)
-    return _in_space(screw, _screw_force(data, screw), first, second)
+    return _in_space(screw, _screw_force(data, screw, factor), first, second)
 
 
 def load_forces(data: BeamData, x: Tensor, R: Tensor, factor: Tensor | float) -> Float[Tensor, "*lanes n 6"]:
@@ -77,14 +80,16 @@ def load_forces(data: BeamData, x: Tensor, R: Tensor, factor: Tensor | float) ->
 def residual(data: BeamData, topology: Topology, x: Tensor, R: Tensor, factor: Tensor | float = 1.0) -> Tensor:
     """Unbalanced forces and moments at the nodes, loads less element forces [*lanes, n, 6]."""
     outer = load_forces(data, x, R, factor)
-    ends = element_forces(data, topology, x, R).unflatten(-1, (2, 6)).flatten(-3, -2)
+    ends = element_forces(data, topology, x, R, factor).unflatten(-1, (2, 6)).flatten(-3, -2)
     lanes = np.broadcast_shapes(outer.shape[:-2], ends.shape[:-2])
     return outer.expand(*lanes, -1, -1).index_add(-2, topology.elements.flatten(), -ends.expand(*lanes, -1, -1))
 
 
-def screw_forces(data: BeamData, topology: Topology, x: Tensor, R: Tensor) -> Float[Tensor, "*lanes m 6"]:
+def screw_forces(
+    data: BeamData, topology: Topology, x: Tensor, R: Tensor, factor: Tensor | float = 1.0
+) -> Float[Tensor, "*lanes m 6"]:
     """Forces f of the elements, conjugate to their screws l (module header)."""
-    return _screw_force(data, screws(data, topology, x, R)[0])
+    return _screw_force(data, screws(data, topology, x, R)[0], factor)
 
 
 def element_tangents(
@@ -124,8 +129,8 @@ def _screw(apart: Tensor, first: Tensor, second: Tensor) -> Tensor:
     return logarithm((first.mT @ apart[..., None])[..., 0], first.mT @ second)
 
 
-def _screw_force(data: BeamData, screw: Tensor) -> Tensor:
-    return (data.stiffness @ (screw - data.screws)[..., None])[..., 0]
+def _screw_force(data: BeamData, screw: Tensor, factor: Tensor | float) -> Tensor:
+    return (data.stiffness @ (screw - data.screws - factor * data.free)[..., None])[..., 0]
 
 
 def _in_space(screw: Tensor, f: Tensor, first: Tensor, second: Tensor) -> Tensor:

@@ -82,6 +82,18 @@ def line_loads(name: str, line: BeamLine, wrench: Any) -> Float[Tensor, "m 6"]:
     return load.expand(m, 6)
 
 
+def element_change(name: str, line: BeamLine, change: Any) -> Float[Tensor, " m"]:
+    """Return a change of temperature or moisture of all elements: one for all, or one for each."""
+    m = len(line.elements)
+    allowed = f"a finite number, or one for each of {m} elements"
+    x = differentiable_reals(name, change, allowed)
+    if x.shape not in ((), (m,)):
+        raise InputError(name, x, allowed, state=f"has shape {tuple(x.shape)}")
+    if not all_true(torch.isfinite(x)):
+        raise InputError(name, change, allowed)
+    return x.expand(m)
+
+
 def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> tuple[list[int], Float[Tensor, "n 6"]]:
     """Return the held degrees of freedom 6 * node + i, and the imposed motions [n, 6]; default: all of "start"."""
     supports = {"start": "all"} if supports is None else supports

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, within
 from torchmbd.fem.elements import BeamSection, GivenSection
+from torchmbd.fem.elements.beam_section import free_strain_of
 from torchmbd.math.checked_numbers import reals
 
 
@@ -72,6 +73,11 @@ class SectionTable(nn.Module):
     def mass(self, at: Float[Tensor, "*places"]) -> Float[Tensor, "*lanes *places 6 6"]:
         """Mass per length at parts of the length."""
         return self._between([section.mass() for section in self.sections], at)
+
+    def free_strain(self, change: str, at: Float[Tensor, "*places"]) -> Float[Tensor, "*lanes *places 6"]:
+        """Strains of the free sections by a unit change at parts of the length; InputError without coefficients."""
+        strains = [free_strain_of(section, change)[..., None] for section in self.sections]
+        return self._between(strains, at)[..., 0]
 
     def _between(self, matrices: list[Tensor], at: Tensor) -> Tensor:
         every = torch.stack(torch.broadcast_tensors(*matrices), -3)

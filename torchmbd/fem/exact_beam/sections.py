@@ -15,6 +15,7 @@ Checked in tests/fem/exact_beam/test_section_table.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine, BeamMatrices, BeamSection
-from torchmbd.fem.elements.beam_section import line_transform
+from torchmbd.fem.elements.beam_section import free_strain_of, line_transform
 from torchmbd.fem.exact_beam.section_table import SectionTable
 from torchmbd.math.gradients import all_true, untransformed
 from torchmbd.math.inverse import balanced_inverse
@@ -90,6 +91,14 @@ class SpanSections:
             )
         return matrices
 
+    def free_strain(self, change: str, rule: Rule) -> Float[Tensor, "*lanes p g 6"]:
+        """Strains of the free sections by a unit change at the points of a rule (g is 1 where they are the same)."""
+        if self._table is not None:
+            return self._table.free_strain(change, rule.at)
+        strains = [free_strain_of(section, change) for section in self._sections]
+        every = torch.stack(torch.broadcast_tensors(*strains), -2)
+        return every[..., self._index[rule.span], None, :]
+
     def mass_moments(self, length: Float[Tensor, "*lanes m"]) -> list[Float[Tensor, "*lanes m 2 6 6"]]:
         """Integrals of m, s m, s^2 m over both halves of the elements; m: the mass per length, s from the node of the half."""
         start, end = _ends_of_elements(length)
@@ -138,10 +147,10 @@ class Rule(NamedTuple):
     t: Float[Tensor, "*lanes p g"]
     weight: Float[Tensor, "*lanes p g"]
 
-    def sum(self, x: Float[Tensor, "*lanes p g 6 6"], spans: int) -> Float[Tensor, "*lanes spans 6 6"]:
+    def sum(self, x: Float[Tensor, "*lanes p g 6 k"], spans: int) -> Float[Tensor, "*lanes spans 6 k"]:
         """Sum numbers at the points over each span."""
         pieces = x.sum(-3)
-        return pieces.new_zeros(*pieces.shape[:-3], spans, 6, 6).index_add(-3, self.span, pieces)
+        return pieces.new_zeros(*pieces.shape[:-3], spans, *pieces.shape[-2:]).index_add(-3, self.span, pieces)
 
 
 def _gauss(count: int) -> tuple[Tensor, Tensor]:
@@ -167,6 +176,7 @@ class ElementProperties(NamedTuple):
     recover    maps force and moment in the axes of an end to (N, V_y, V_z, T, M_y, M_z) of its section [m, 2, 6, 6]
     matrices   the linear elements
     to_line    W (beam_section.py) of the sections at both ends [m, 2, 6, 6]
+    free       changes of the screws without load by unit changes of temperature and moisture: kind of change -> [m, 6]
     """
 
     stiffness: Float[Tensor, "*lanes m 6 6"]
@@ -175,18 +185,25 @@ class ElementProperties(NamedTuple):
     recover: Float[Tensor, "*lanes m 2 6 6"]
     matrices: BeamMatrices
     to_line: Float[Tensor, "*lanes m 2 6 6"]
+    free: dict[str, Float[Tensor, "*lanes m 6"]]
 
 
 _ENDS = torch.tensor([0.0, 1.0], dtype=torch.float64)
 
 
 def element_properties(
-    sections: SpanSections, matrices: BeamMatrices, offset: Tensor, twist: Tensor, nodes: Tensor
+    sections: SpanSections,
+    matrices: BeamMatrices,
+    offset: Tensor,
+    twist: Tensor,
+    nodes: Tensor,
+    changes: Iterable[str] = (),
 ) -> ElementProperties:
     """Return the properties of the elements.
 
     matrices       the linear elements at the present nodes
     offset, twist  of the sections [2] or [m, 2]; [], [m] or [m, 2]
+    changes        kinds of change whose free strains are computed
 
     Raises InputError where an element turns by more than LARGEST, or a section is not positive definite.
     """
@@ -200,10 +217,14 @@ def element_properties(
     force_map = block(_turn(at)).mT @ line_transform(offset[rule.span], at)
     stiffness = force_map @ sections.stiffness(rule) @ force_map.mT
     softness = balanced_inverse(stiffness)
+    strains = {change: _line_strain(sections.free_strain(change, rule), force_map) for change in changes}
     if sections.tapered:
         arm = _arm((rule.t - 0.5) * matrices.length[..., rule.span, None])
         softness = arm.mT @ softness @ arm
-    compliance = rule.sum(rule.weight[..., None, None] * softness, m)
+        strains = {change: arm.mT @ strain for change, strain in strains.items()}
+    weight = rule.weight[..., None, None]
+    compliance = rule.sum(weight * softness, m)
+    free = {change: rule.sum(weight * strain, m)[..., 0] for change, strain in strains.items()}
     turn = _turn(ends)
     axes = matrices.frames(_ENDS).mT @ turn
     first, second = axes.unbind(-3)
@@ -222,7 +243,12 @@ def element_properties(
     screws = logarithm((first.mT @ apart[..., None])[..., 0], relative)
     to_line = line_transform(offset, ends)
     recover = torch.linalg.inv(to_line) @ block(turn)
-    return ElementProperties(balanced_inverse(compliance), screws, axes, recover, matrices, to_line)
+    return ElementProperties(balanced_inverse(compliance), screws, axes, recover, matrices, to_line, free)
+
+
+def _line_strain(strain: Float[Tensor, "*n 6"], force_map: Float[Tensor, "*n 6 6"]) -> Float[Tensor, "*n 6 1"]:
+    """Strains on which forces about the line do the work that those of the section do on its strains."""
+    return torch.linalg.inv(force_map).mT @ strain[..., None]
 
 
 def _turn(twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 3 3"]:

@@ -24,6 +24,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.fem.exact_beam import ExactBeam
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Along
 from torchmbd.multibody.forces.force import Applied, ForceElement
@@ -104,7 +105,8 @@ class Temperature(ForceElement):
         if getattr(body, "expansion", None) is None:
             shown = repr(getattr(body, "name", body))
             allowed = "a flexible body of plates or beams, not an exact beam"
-            raise InputError("body", body, allowed, noun="body of Temperature", shown=shown)
+            hint = "ExactBeam.equilibrium(temperature=...)" if isinstance(body, ExactBeam) else ""
+            raise InputError("body", body, allowed, hint=hint, noun="body of Temperature", shown=shown)
         known = body.expansion.changes(zone)
         super().__init__(
             (body.at(body.reference[0]),), name or "_".join(["temperature", body.name, *([zone] if zone else [])])

@@ -4,7 +4,8 @@
 2. Branches: the variable farthest from its values gets two boxes, up to the value below and from the value above. Each box
    is searched again with gradients, from where its parent ended; a box whose minimum is not better than the best design on
    the values is dropped with all that lies in it. The boxes of a wave run in common batches: their simulations are one batch.
-3. Confirmation: every minimum found is rounded and evaluated in full. Only evaluated designs are results.
+3. Confirmation: every minimum found is rounded and evaluated in full. Only evaluated designs are results. The extra variable
+   of a min-max problem (extra_variable.py) is no choice: every design has the least that its own rows allow.
 4. Certificate: all neighbors of the best design within two increments are evaluated; from a better one it goes on.
 
 Exact where the problem is convex; otherwise the pruning trusts local minima, and the certificate says what is certain.
@@ -85,6 +86,9 @@ class Branching:
         self.lower = np.array([low if v is None else v[0] for low, v in zip(lower, grid.values, strict=True)])
         self.upper = np.array([high if v is None else v[-1] for high, v in zip(upper, grid.values, strict=True)])
         self.equalities = getattr(cache, "equalities", None)
+        has_extra = bool(getattr(cache, "has_extra_variable", False))
+        self.tighten = cache.with_least_bound if has_extra else None
+        self.extra = start[-1:] if has_extra else start[:0]  # designs are evaluated by that of the start
         self.feasibility, self.max_lanes = feasibility, max_lanes
         self.boxes, self.queue = 0, list[Branch]()  # searched, and left
         self.best: Candidate | None = None
@@ -139,13 +143,13 @@ class Branching:
         return branches
 
     def search(self, branch: Branch, index: int, evaluate_batch: EvaluateBatch, report: Report) -> Search:
-        return Search(
+        return Search.of(
+            self.cache,
             evaluate_batch,
             branch.x,
             branch.lower,
             branch.upper,
             scale=self.scale,
-            equalities=self.equalities,
             feasibility=self.feasibility,
             index=index,
             report=report,
@@ -157,7 +161,7 @@ class Branching:
         nearest = [self.grid.nearest_admitted(x, STEPS, MAX_NEIGHBORS) for x in X]
         rounded = [x for x in nearest if x is not None]
         for first in range(0, len(rounded), self.max_lanes):
-            designs = np.array(rounded[first : first + self.max_lanes])
+            designs = np.array([self.evaluated_at(x) for x in rounded[first : first + self.max_lanes]])
             for x, evaluation in zip(designs, self.cache.evaluate(designs, False), strict=True):
                 if evaluation.ok and np.isfinite(evaluation.objective):
                     candidates.append(self.candidate(x, evaluation))
@@ -166,7 +170,17 @@ class Branching:
                 self.best = candidate
         return candidates
 
+    def evaluated_at(self, x: np.ndarray) -> np.ndarray:
+        """Return the design [n] with the extra variable of the start, so that no choice is evaluated twice."""
+        return np.append(self.choices(x), self.extra)
+
+    def choices(self, x: np.ndarray) -> np.ndarray:
+        """Return the design [n] without the extra variable."""
+        return x[: x.size - self.extra.size]
+
     def candidate(self, x: np.ndarray, evaluation: Evaluation) -> Candidate:
+        if self.tighten is not None:
+            x, evaluation = self.tighten(x, evaluation)
         c = np.atleast_1d(evaluation.constraints)
         equality = np.isin(np.arange(c.size), [] if self.equalities is None else self.equalities)
         return Candidate(x, evaluation.objective, largest_violation(c, equality))
@@ -195,12 +209,12 @@ class Branching:
 
     def candidates(self) -> list[Candidate]:
         """Return all evaluated designs on the values, the best first."""
-        candidates = [
-            self.candidate(x, evaluation)
+        candidates = {
+            self.choices(x).tobytes(): self.candidate(x, evaluation)
             for x, evaluation in self.cache.memory.entries.values()
             if evaluation.ok and np.array_equal(self.grid.nearest(x), x) and self.grid.admits(x)
-        ]
-        return sorted(candidates, key=self.rank)
+        }
+        return sorted(candidates.values(), key=self.rank)
 
 
 @dataclass(frozen=True)
@@ -249,7 +263,7 @@ def optimize_discrete(
 
     problem        as in `optimize`
     allowed        one entry per variable, an increment in its unit, a list of values, or None (continuous); one increment
-                   applies to all [rad for angles: mbd.deg(5)]
+                   applies to all [rad for angles: mbd.deg(5)]; the extra variable of a min-max problem stays continuous
     max_boxes      largest number of boxes that are searched; if others may contain a better design, the status is "max_boxes"
     max_neighbors  largest number of neighbors within two increments per variable; if there are more, the certificate covers
                    only neighbors whose increments add up to two

@@ -20,7 +20,8 @@ class Grid:
     """`values[j]`: ascending allowed values of variable j inside its bounds, None where it is continuous.
 
     `allowed` has one entry per variable: an increment (its multiples are allowed), a list of values, or None; a single
-    increment or None serves all. A variable with a `period` whose values fill it has neighbors across its ends.
+    increment or None serves all. The extra variable of a min-max problem has None. A variable with a `period` whose values
+    fill it has neighbors across its ends.
     `admits(x)` says whether a design on the values keeps the user's rules.
     """
 
@@ -40,6 +41,12 @@ class Grid:
             raise InputError(
                 "allowed", rule=f"has {len(entries)} entries for {len(names)} variables ({', '.join(names)})"
             )
+        if getattr(problem, "has_extra_variable", False):
+            if entries[-1] is not None and not _single(allowed):
+                raise InputError(
+                    ("allowed", names[-1]), entries[-1], "None", noun=f"allowed of {names[-1]}, the largest of the rows"
+                )
+            entries[-1] = None
         self.values = [_values(*row) for row in zip(names, entries, lower, upper, strict=True)]  # type: ignore[arg-type]
         turns = np.zeros(len(names)) if period is None else np.asarray(period, dtype=float)
         self.circle = [v is not None and _fills(v, turn) for v, turn in zip(self.values, turns, strict=True)]
