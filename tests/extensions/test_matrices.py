@@ -174,7 +174,17 @@ def test_a_file_that_does_not_exist():
 def test_the_punch_file_of_one_external_superelement(begin, tmp_path):
     """Nastran writes comments and BEGIN SUPER above its cards; generalized coordinates are scalar points."""
     file = tmp_path / "part.pch"
-    cards = ["GRID,7,,0.,0.,0.", "SPOINT,901", "DMIG,KAAX,0,6,2,0", "DMIG,KAAX,7,1,,7,1,4.", "DMIG,KAAX,901,0,,901,0,9."]
+    cards = [
+        "CORD2R *             701               0              0.              0.",
+        "*                     0.              0.              0.              1.",
+        "*                     1.              0.              0.",
+        "GRID   *               7                              0.              0.",
+        "*                     0.",
+        "SPOINT,901",
+        "DMIG,KAAX,0,6,2,0",
+        "DMIG,KAAX,7,1,,7,1,4.",
+        "DMIG,KAAX,901,0,,901,0,9.",
+    ]
     file.write_text("\n".join(["$ STANDARD PUNCH (.PCH) FILE FOR EXTERNAL SUPERELEMENT 111", "$", begin, *cards, ""]))
     matrix = mbd.read_matrix(file)
     assert matrix.rows == [(7, 1), (901, 1)]
@@ -182,7 +192,6 @@ def test_the_punch_file_of_one_external_superelement(begin, tmp_path):
     file.write_text("\n".join(["GRID,1,,0.,0.,0.", begin, *cards, ""]))
     with refused("part.pch, line 2"):
         mbd.read_matrix(file)
-
 
 
 def test_a_matrix_is_not_refused_for_its_neighbor(tmp_path):

@@ -14,6 +14,7 @@ Checked in tests/extensions/nastran/test_cards.py.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -242,7 +243,7 @@ def _split(line: str, where: str) -> tuple[str, list[str], str]:
         mark = next((word for word in words[1 + width :] if word), "")
         return head, (words[1:] + [""] * width)[:width], mark.lstrip("+*").upper()
     line = line.expandtabs(8)
-    head = line[:8].strip().upper()
+    head = re.sub(r" +\*$", "*", line[:8].strip().upper())  # Nastran punches "GRID   *"
     if " " in head and head[0] not in "+*":
         raise wrong_entry(where, f"{head!r} is not the name of a card; is a field of 8 columns shifted?")
     width, count = (16, 4) if "*" in head else (8, _PER_LINE)
