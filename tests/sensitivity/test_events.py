@@ -16,18 +16,13 @@ pytestmark = pytest.mark.thorough
 HEIGHT, RESTITUTION, DURATION = 1.0, 0.8, 1.5
 STEP, DIRECTION = 1e-4, tensor(1.0, 0.4)  # [rad] of differences; with half of it rounding shows
 NAME = "rod.laminate.angles"
+DOWN = tensor(0.0, 0.0, -1.0)
 
 
-class Falling(mbd.System):
+def falling() -> mbd.System:
     """A mass in a gravity field that is a design variable."""
-
-    def __init__(self):
-        super().__init__([mbd.RigidBody("mass", mass=2.0, inertia=(0.1, 0.2, 0.2), position=(0.0, 0.0, HEIGHT))])
-        self.g = nn.Parameter(tensor(9.81))
-
-    def _data(self, segments):
-        pull = torch.stack([torch.zeros_like(self.g), torch.zeros_like(self.g), -self.g])
-        return super()._data(segments) | {"gravity": pull.reshape(3, 1, 1, -1)}
+    mass = mbd.RigidBody("mass", mass=2.0, inertia=(0.1, 0.2, 0.2), position=(0.0, 0.0, HEIGHT))
+    return mbd.System([mass], gravity=nn.Parameter(tensor(0.0, 0.0, -9.81)))
 
 
 def bounces(g: Tensor) -> tuple[Tensor, Tensor]:
@@ -62,13 +57,13 @@ def test_bouncing_mass_has_its_closed_form(method, impact):
     landing = mbd.Event(mbd.Position("mass", axis="z"), "falling")
     phases = [mbd.Phase(until=landing, impact=impact)] * 2 + [mbd.Phase()]
     motion = mbd.simulate(
-        Falling(),
+        falling(),
         DURATION,
         method,
         40,
         gradients="forward",
-        variables=["g"],
-        designs={"g": fields[:, None]},
+        variables=["gravity"],
+        designs={"gravity": fields[:, None] * DOWN},
         phases=phases,
     ).require_ok()
     assert motion.dq_db is not None
@@ -79,13 +74,27 @@ def test_bouncing_mass_has_its_closed_form(method, impact):
             [torch.stack(torch.func.jacfwd(lambda g, t=t: bouncing(t, g))(g)) for t in motion.t]  # pyright: ignore
         )
         assert_close(torch.stack([motion.q[lane, :, 2], motion.v[lane, :, 2]], 1), exact, rtol=0, atol=1e-10)
-        result = torch.stack([motion.dq_db[lane, :, 2, 0], motion.dv_db[lane, :, 2, 0]], 1)
+        result = torch.stack([motion.dq_db[lane, :, 2] @ DOWN, motion.dv_db[lane, :, 2] @ DOWN], 1)
         assert_close(result, slopes, rtol=0, atol=1e-10)
         rates = torch.func.jacfwd(bounces)(g)
         for switch, time, rate in zip(motion.switches, bounces(g), rates, strict=True):
             assert switch.dt_db is not None
             assert_close(switch.t[lane], time, rtol=0, atol=1e-11)
-            assert_close(switch.dt_db[lane, 0], rate, rtol=0, atol=1e-11)
+            assert_close(switch.dt_db[lane] @ DOWN, rate, rtol=0, atol=1e-11)
+
+
+def test_reverse_gradient_by_gravity_has_the_closed_form():
+    """The variable has the name of the datum of the equations that it becomes."""
+    g = tensor(9.81, 7.0, 20.0).requires_grad_()
+    landing = mbd.Event(mbd.Position("mass", axis="z"), "falling")
+    phases = [mbd.Phase(until=landing, impact=RESTITUTION)] * 2 + [mbd.Phase()]
+    motion = mbd.simulate(
+        falling(), DURATION, steps=40, designs={"gravity": g[:, None] * DOWN}, phases=phases
+    ).require_ok()
+    height = motion.q[:, -1, 2].sum() + motion.v[:, -1, 2].sum()
+    (result,) = torch.autograd.grad(height, g)
+    exact = torch.func.jacfwd(lambda g: sum(bouncing(motion.t[-1], g)))
+    assert_close(result, torch.stack([exact(x) for x in g.detach()]), rtol=0, atol=1e-9)
 
 
 def tip(motion: Trajectory) -> Tensor:

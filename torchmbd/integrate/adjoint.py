@@ -101,8 +101,13 @@ class Adjoint:
         """Without what holds a graph, or a library of a backend; it is made again where it is needed."""
         return vars(self) | {"_runs": {}}
 
-    def __call__(self, bar: Outputs, rows: int, names: Sequence[str], by_designs: bool) -> dict[str, Tensor]:
-        """Cotangents by data of these names, and by designs where wanted [component..., rows, lanes]."""
+    def __call__(
+        self, bar: Outputs, rows: int, names: Sequence[str], by_designs: bool
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Cotangents by data of these names, and by designs where wanted [component..., rows, lanes].
+
+        They are apart because `gravity` is the name of both.
+        """
         parts = [(run.lanes, run.adjoint(run.of_outputs(bar), rows)) for run in self.runs(tuple(names))]
         _warn_inaccurate(self.error)
         total, count = {}, len(self.results.status)
@@ -114,7 +119,7 @@ class Adjoint:
             of_data = total.get(("data", name))
             zero = of_data is None
             result[name] = x.new_zeros(*x.shape[:-2], rows, count) if zero else of_data[..., 0, :].movedim(0, -2)
-        return result | (self._of_designs(total, rows) if by_designs else {})
+        return result, self._of_designs(total, rows) if by_designs else {}
 
     def runs(self, names: tuple[str, ...]) -> list[LanesOfRun]:
         """Lanes that have not failed, by their runs; gradients are wanted by data of these names."""

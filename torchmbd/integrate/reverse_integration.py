@@ -87,16 +87,17 @@ class ReverseIntegration(IntegratedMotion):
     def cotangents(self, outputs: Tensors, needs_grad: Sequence[bool]) -> list[Tensor | None]:
         differentiated = [name for name, needed in zip(self.names, needs_grad, strict=False) if needed]
         names, by_designs = [name for name in differentiated if name != DURATION], any(needs_grad[len(self.names) :])
-        result: dict[str, Tensor] = {}
+        by_name: dict[str, Tensor] = {}
+        of_designs: dict[str, Tensor] = {}
         if names or by_designs:
             rows = next(x.shape[-2] for x in outputs if x is not None)
-            result = self.adjoint(self.outputs.like(outputs), rows, names, by_designs)
+            by_name, of_designs = self.adjoint(self.outputs.like(outputs), rows, names, by_designs)
         if DURATION in differentiated:
             pairs = [(y, dx) for y, dx in zip(outputs, self._by_duration, strict=True) if y is not None]
             # No number is asked of a motion without one.
             products = [torch.where(y != 0.0, y * dx, 0.0) for y, dx in pairs]
-            result[DURATION] = torch.stack([x.flatten(0, -3).sum(0) for x in products]).sum(0)
-        return [result.get(name) for name in (*self.names, *self.designs)]
+            by_name[DURATION] = torch.stack([x.flatten(0, -3).sum(0) for x in products]).sum(0)
+        return [*(by_name.get(name) for name in self.names), *(of_designs.get(name) for name in self.designs)]
 
     @cached_property
     def _by_duration(self) -> list[Tensor]:
