@@ -143,6 +143,28 @@ def test_gradients_of_lanes_are_those_of_each_alone():
     assert_close(together, alone, rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.parametrize("gradients", ["reverse", "forward"])
+def test_a_lane_does_not_depend_on_its_company(gradients):
+    """Lanes that need different steps, or none: states and gradients are those of each alone, with tangents and without."""
+    system = dropped(stiffness=mbd.variable(K), damping=0.1)
+    stiffness = torch.tensor([1e2, 5e3, 4e5, 4e4, 5.2e3], dtype=torch.float64)
+    end = mbd.Final(mbd.Position("ball", "z"))
+
+    def ended(k: Tensor, gradients: str) -> mbd.Trajectory:
+        return mbd.simulate(system, 0.25, steps=40, designs={"floor.stiffness": k}, gradients=gradients).require_ok()
+
+    together = ended(stiffness, gradients)
+    assert len(set(together.integration.results.replaced.values())) > 1
+    value, slope = end.value_and_gradient(together)
+    for lane, k in enumerate(stiffness):
+        alone = ended(k[None], gradients)
+        assert_close(together.q[lane], alone.q[0], rtol=0, atol=1e-12)
+        assert_close(ended(k[None], "none").q[0], alone.q[0], rtol=0, atol=1e-12)
+        one, its_slope = end.value_and_gradient(alone)
+        assert_close(value[lane], one[0], rtol=1e-12, atol=0)
+        assert_close(slope[lane], its_slope[0], rtol=1e-7, atol=1e-16)
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("gradients", ["reverse", "forward"])
 def test_derivatives_go_through_smaller_steps(gradients):

@@ -1,8 +1,8 @@
 """Integration of lanes that fail alone: a lane that fails is integrated again, the others keep their motion.
 
     1. all lanes, by the steps asked for
-    2. lanes with contacts that these steps do not show, by smaller steps (contacts.py); all lanes where held values of a
-       controller change within a step (jumps.py)
+    2. lanes with contacts that these steps do not show, each by the smaller steps that it needs itself (contacts.py); all
+       lanes where held values of a controller change within a step (jumps.py)
     3. lanes that failed, as `Integrator.retry` says: one-step methods with a new matrix for every correction, then with half
        the step
 
@@ -39,7 +39,7 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History, RefinedLane
 from torchmbd.results.motion_data import Switch, has_failed
 
-_MOST_NUMBERS = 2e8  # of a motion whose steps are made smaller for its contacts
+_MOST_NUMBERS = 2e7  # of the states of one lane whose steps are made smaller for its contacts
 
 
 @dataclass
@@ -149,15 +149,17 @@ def integrate_lanes(
         if has_failed(reason) and lane not in {*dynamics.start_errors, *contacts, *first.for_good}
     ]
     results = LaneResults(first.history, statistics, status, first.switches, first.data)
-    finer, lanes = _substeps_for_contacts(integrator, problem.dynamics, steps, substeps, contacts), list(contacts)
+    finer = _lanes_by_substeps(integrator, dynamics, steps, substeps, contacts)
     held = substeps_at(problem.held_times(), duration, steps) if integrator.refines else None
     if held is not None and held > 1:  # contacts are looked at again, in these steps
-        finer, lanes = held, [lane for lane in range(len(status)) if lane not in dynamics.start_errors]
-    if finer > 1 and lanes:
-        other = integrate_lanes(integrator, problem.select_lanes(lanes), finer * steps, substeps=finer * substeps)
-        for lane in results.replace_lanes(lanes, Steps(integrator, finer), other):
+        finer = {held: [lane for lane in range(len(status)) if lane not in dynamics.start_errors]}
+    for count, lanes in finer.items():
+        if not lanes:
+            continue
+        other = integrate_lanes(integrator, problem.select_lanes(lanes), count * steps, substeps=count * substeps)
+        for lane in results.replace_lanes(lanes, Steps(integrator, count), other):
             contacts.pop(lane, None)
-        to_retry = [lane for lane in to_retry if lane not in results.replaced]
+    to_retry = [lane for lane in to_retry if lane not in results.replaced]
     mark_doubts(results.status, {lane: x for lane, x in first.doubts.items() if lane not in results.replaced})
     mark_unresolved_contacts(results.status, contacts)
     if to_retry and retry is not None:
@@ -207,15 +209,20 @@ def _spread(results: LaneResults, lanes: Sequence[int], substeps: int, status: S
     return LaneResults(history, results.statistics.of_lanes(index), list(status), switches, data)
 
 
-def _substeps_for_contacts(
+def _lanes_by_substeps(
     integrator: Integrator, dynamics: Dynamics, steps: int, substeps: int, contacts: Mapping[int, UnresolvedContact]
-) -> int:
-    """How many steps stand for one in lanes with contacts that the steps do not show; 1: no more steps."""
-    if not contacts or not integrator.refines:
-        return 1
-    finer = min(max(contact.substeps for contact in contacts.values()), MOST_SUBSTEPS // substeps)
+) -> dict[int, list[int]]:
+    """Lanes with contacts that the steps do not show, by how many steps stand for one; those without finer ones have none.
+
+    A lane decides for itself: its steps depend neither on other lanes nor on tangents.
+    """
+    groups: dict[int, list[int]] = {}
     T = dynamics.topology
-    numbers = steps * (T.n_q + 2 * T.n_v + T.rows) * (1 + dynamics.tangents) * len(contacts)
-    while finer > 1 and finer * numbers > _MOST_NUMBERS:
-        finer //= 2
-    return max(finer, 1)
+    most = min(MOST_SUBSTEPS // substeps, int(_MOST_NUMBERS / (steps * (T.n_q + 2 * T.n_v + T.rows))))
+    for lane, contact in contacts.items() if integrator.refines else ():
+        finer = contact.substeps
+        while finer > most:
+            finer //= 2
+        if finer > 1:
+            groups.setdefault(finer, []).append(lane)
+    return groups
