@@ -83,20 +83,6 @@ def test_bouncing_mass_has_its_closed_form(method, impact):
             assert_close(switch.dt_db[lane] @ DOWN, rate, rtol=0, atol=1e-11)
 
 
-def test_reverse_gradient_by_gravity_has_the_closed_form():
-    """The variable has the name of the datum of the equations that it becomes."""
-    g = tensor(9.81, 7.0, 20.0).requires_grad_()
-    landing = mbd.Event(mbd.Position("mass", axis="z"), "falling")
-    phases = [mbd.Phase(until=landing, impact=RESTITUTION)] * 2 + [mbd.Phase()]
-    motion = mbd.simulate(
-        falling(), DURATION, steps=40, designs={"gravity": g[:, None] * DOWN}, phases=phases
-    ).require_ok()
-    height = motion.q[:, -1, 2].sum() + motion.v[:, -1, 2].sum()
-    (result,) = torch.autograd.grad(height, g)
-    exact = torch.func.jacfwd(lambda g: sum(bouncing(motion.t[-1], g)))
-    assert_close(result, torch.stack([exact(x) for x in g.detach()]), rtol=0, atol=1e-9)
-
-
 def tip(motion: Trajectory) -> Tensor:
     """Passes zero at about 0.04 s, and depends on the mode shapes."""
     return motion.body("rod").at("right").position[..., 2] + 0.022
