@@ -19,7 +19,7 @@ NAME = "rod.laminate.angles"
 DOWN = tensor(0.0, 0.0, -1.0)
 
 
-def falling() -> mbd.System:
+def falling_mass() -> mbd.System:
     """A mass in a gravity field that is a design variable."""
     mass = mbd.RigidBody("mass", mass=2.0, inertia=(0.1, 0.2, 0.2), position=(0.0, 0.0, HEIGHT))
     return mbd.System([mass], gravity=nn.Parameter(tensor(0.0, 0.0, -9.81)))
@@ -57,7 +57,7 @@ def test_bouncing_mass_has_its_closed_form(method, impact):
     landing = mbd.Event(mbd.Position("mass", axis="z"), "falling")
     phases = [mbd.Phase(until=landing, impact=impact)] * 2 + [mbd.Phase()]
     motion = mbd.simulate(
-        falling(),
+        falling_mass(),
         DURATION,
         method,
         40,

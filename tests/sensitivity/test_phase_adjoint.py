@@ -14,7 +14,18 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import finished, pendulum, tensor
 from tests.refused import refused
-from tests.sensitivity.test_events import DOWN, DRIVEN, DURATION, NAME, PHASES, bounces, bouncing, driven, falling, tip
+from tests.sensitivity.test_events import (
+    DOWN,
+    DRIVEN,
+    DURATION,
+    NAME,
+    PHASES,
+    bounces,
+    bouncing,
+    driven,
+    falling_mass,
+    tip,
+)
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrate import Trajectory
 from torchmbd.integrate.phases.segment import segments_of
@@ -126,7 +137,9 @@ def test_a_bouncing_mass_has_the_gradients_of_its_closed_form(impact):
     """The variable has the name of the datum of the equations that it becomes, `gravity`."""
     fields = tensor(9.81, 7.0, 20.0)[:, None].requires_grad_()
     phases = [mbd.Phase(until=mbd.Event(mbd.Position("mass", axis="z"), "falling"), impact=impact)] * 2 + [mbd.Phase()]
-    motion = mbd.simulate(falling(), DURATION, steps=40, designs={"gravity": fields * DOWN}, phases=phases).require_ok()
+    motion = mbd.simulate(
+        falling_mass(), DURATION, steps=40, designs={"gravity": fields * DOWN}, phases=phases
+    ).require_ok()
     assert motion.stats["gradients"] == "reverse"
     times = motion.switches[0].t + 2.0 * motion.switches[1].t
     (result,) = torch.autograd.grad(times.sum() + (motion.q[:, 1:, 2] * motion.t[1:]).sum(), fields)
