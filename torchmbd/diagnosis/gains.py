@@ -1,6 +1,6 @@
 """Vibrations that gain energy which nothing gives them: steps too long for what a switch excites.
 
-Checked in tests/integrate/phases/test_phase.py.
+Checked in tests/diagnosis/test_gains.py.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def mark_gains(motion: Trajectory) -> None:
     """
     T, errors = motion.dynamics.topology, motion.stats.get("step_error")
     driven = any(p.driven for p in T.primitives) or len(T.actions) > 0
-    if not motion.switches or errors is None or not T.flexible or driven:
+    if not motion.switches or errors is None or driven or not (T.flexible or T.beams is not None):
         return
     lanes = [k for k, status in enumerate(motion.status) if status == OK and float(errors[k]) > GOOD_STEP]
     if not lanes:
@@ -34,8 +34,8 @@ def mark_gains(motion: Trajectory) -> None:
     for lane, share in zip(lanes, (gain / size).tolist(), strict=True):
         if share > _GAIN:
             motion.status[lane] = (
-                f"{UNRESOLVED}the motion gains {share:.1g} of its energy, which no load gives it: the steps do not resolve "
-                "the vibrations of a flexible body after a switch, which grow; more steps, a smaller spectral_radius or "
-                "damping of the body help"
+                f"{UNRESOLVED}energy comes from nothing, {share:.0%} of the largest kinetic and strain energy: the steps do "
+                "not resolve the vibrations of a flexible body after a switch, and these grow; more steps, a smaller "
+                "spectral_radius or damping of the body help"
             )
     warn_unresolved([motion.status[lane] for lane in lanes])
