@@ -167,6 +167,24 @@ def test_frequency_of_a_geared_torsion_pendulum():
     assert system.describe().frequencies == pytest.approx([expected], rel=1e-10)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_planet_of_the_page_and_a_pin_with_its_frames_in_the_other_order(turned):
+    """s (w_sun - w_carrier) + p (w_planet - w_carrier) = 0; the angle of a pin from planet to carrier has the other sign."""
+    s, p, speeds = 0.06, 0.03, {"sun": 0.5, "carrier": 1.2}
+    ground, frames = mbd.Ground(), mbd.Ground().at()
+    sun, carrier = (mbd.RigidBody(name, 1.0, (*ABOUT_Z, FIRST)) for name in speeds)
+    planet = mbd.RigidBody("planet", 0.5, (*ABOUT_Z, FIRST), position=(s + p, 0, 0))
+    hinges = [mbd.Revolute(frames, x.at(), name=f"of_{x.name}") for x in (sun, carrier)]
+    ends = carrier.at(s + p, 0, 0), planet.at()
+    pin = mbd.Revolute(*(ends[::-1] if turned else ends), name="pin")
+    factor = -p if turned else p
+    mesh = mbd.JointCoupling([hinges[0].angle, hinges[1].angle, pin.angle], [s, -s, factor])
+    drives = [mbd.Drive(ground, x, axis="z", speed=speeds[x.name]) for x in (sun, carrier)]
+    motion = simulated(mbd.System([sun, carrier, planet], [*hinges, pin, mesh, *drives]), 0.2, steps=4)
+    expected = speeds["carrier"] - s * (speeds["sun"] - speeds["carrier"]) / p
+    assert motion.body("planet").omega[0, -1, 2].item() == pytest.approx(expected, rel=1e-9)
+
+
 @pytest.mark.thorough
 def test_planetary_gear():
     """Sun, planet, carrier and a fixed ring, turned in space; the inertia that a torque on the sun accelerates."""
