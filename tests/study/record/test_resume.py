@@ -203,7 +203,7 @@ def _below(study: int) -> dict[int, str]:
     with contextlib.suppress(psutil.NoSuchProcess):
         for process in psutil.Process(study).children(recursive=True):
             with contextlib.suppress(psutil.NoSuchProcess):
-                result[process.pid] = "store" if "store_process" in " ".join(process.cmdline()) else "worker"
+                result[process.pid] = "store" if "tracking.writer" in " ".join(process.cmdline()) else "worker"
     return result
 
 
