@@ -13,9 +13,9 @@
     end_all  end every run that is open
     close    end open runs as KILLED, wait for the store, return where the runs are
 
-Each call is a line of the journal, a part of a run in JSON with the time of the call. If the disk is full, lines wait in memory.
-The writer reads the lines in another process, so that importing and calling MLflow takes no time of the search. If MLflow
-is imported here already, the writer is a thread. If the process of the writer is killed, another one reads the journal again.
+Each call is a line of the journal, a part of a run in JSON with the time of the call. If the disk is full, lines wait in
+memory. The writer reads the lines in another process, so that importing and calling MLflow takes no time of the search. If
+MLflow is imported here already, the writer is a thread. If its process is killed, another one reads the journal again.
 
 To send a part again changes nothing in the store. So the writer sends again whatever fails until the store answers, or until
 `TORCHMBD_PATIENCE` seconds (default 15) after the end of the study. `close` names what the store refuses, such as a file that
@@ -67,6 +67,7 @@ class MlflowTracker:
         self.study = study or uuid.uuid4().hex
         self._open: dict[str, bool] = {}  # every run that has begun: whether it is open
         self._files: dict[str, set[str]] = {}  # names of the files of every run
+        self._began = self._ended = 0  # ms since 1970, of the first run to begin and the last to end
         self._last = 0  # ms since 1970 of the last metric
         self._folder: tempfile.TemporaryDirectory[str] | None = None  # of the journal
         self._lines = b""  # not in the journal yet
@@ -89,6 +90,7 @@ class MlflowTracker:
         if parent is not None:
             self._require(parent)
         self._open[run] = True
+        self._began = self._began or _now()
         texts = {key: value[:_MAX_VALUE] for key, value in _texts(params or {}).items()}
         self._log(run, _now(), name=utf8(name), parent=parent, params=texts, tags=_texts(tags or {}))
 
@@ -133,7 +135,7 @@ class MlflowTracker:
         names = utf8("\n".join(sorted(self._files.get(run, ()))))
         names = names if len(names) < _MAX_VALUE else names[:_MAX_VALUE].rpartition("\n")[0]
         self._log(run, _now(), tags={FILES: names} if names else {}, ended=status)
-        self._open[run] = False
+        self._open[run], self._ended = False, _now()
 
     def end_all(self, status: Status) -> None:
         """End every run that is open, children before their parent."""
@@ -175,6 +177,11 @@ class MlflowTracker:
         """The runs that the store has so far."""
         state = self._present()
         return Record(self.uri, state.experiment_id, state.ids)
+
+    @property
+    def seconds(self) -> float:
+        """The time from the begin of the first run to the end of the last [s]."""
+        return (self._ended - self._began) / 1000
 
     def _present(self) -> State:
         """Return what the writer has said last."""

@@ -55,7 +55,7 @@ def run(file: Path, tracker=None) -> str:
 class Silent:
     """A tracker that hears nothing."""
 
-    trouble, uri = None, StoreURI("http://127.0.0.1")
+    trouble, uri, seconds = None, StoreURI("http://127.0.0.1"), 0.0
 
     def __getattr__(self, name):
         return lambda *arguments, **options: None
