@@ -483,6 +483,18 @@ def test_designs_of_one_batch_have_as_many_shapes_as_each_needs(first):
         free = mbd.Laminate(CARBON, design, 0.25e-3, symmetric=True).expansion(10.0, 0.0, 0.001)
         assert float(x) == pytest.approx(0.2 * float(free.strain[0]), rel=1e-6)
 
+    def shift(angles: Tensor) -> Tensor:
+        options: dict = {
+            "steps": 2,
+            "backend": "eager",
+            "start": "equilibrium",
+            "designs": {"strip.laminate.angles": angles},
+        }
+        return mbd.simulate(system, 1e-3, **options).body("strip").at("right").position[0, -1, 0] - 0.1
+
+    with warned("of its own in design 2 for a change of moisture:"):
+        assert_close(torch.func.vmap(shift)(angles), shifts, rtol=1e-9, atol=0)
+
 
 @pytest.mark.parametrize("first", [40.0, 45.0])
 def test_designs_that_lose_a_shape_are_told(first):
