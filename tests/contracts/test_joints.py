@@ -47,8 +47,8 @@ LEAD = 0.07  # travel of a screw for a rotation by 1 rad [m]
 
 
 BENT = {
-    "first": (0.0, 0.4, 1.5, -2.0),
-    "second": (0.0, -0.3, 0.0, 1.0, 0.5, -2.0),
+    "first": (0.0, 0.4, 0.3),
+    "second": (0.0, -0.3, 0.0, 0.2),
 }  # curves over an axis, through frame a
 
 
