@@ -130,7 +130,7 @@ def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store
     arguments = ["run", "study.yaml", "options.cells=3,4", "simulate.duration=0.002", "simulate.steps=8"]
     assert cli.main([*arguments, "starts.count=1", "optimizer.max_iterations=1"]) in (0, cli.EXIT_UNVERIFIED)
     assert "options.cells=3 " in (output := capsys.readouterr().out)
-    assert output.count(": 1 starts, ") == 2
+    assert output.count(": 1 start, ") == 2
     assert cli.main([*arguments, "starts.sampler=sobel"]) == 2  # all are checked before the first runs
     assert cli.main(["best"]) == 0
     assert ', model="rod_model.py")' in capsys.readouterr().out

@@ -13,7 +13,7 @@ import torch
 
 import torchmbd as mbd
 from torchmbd.design.response_spec import SpecError, measure_of
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, nearest, unknown
 from torchmbd.study.file.faults import Fault, StudyError
 
 any_: Any = mbd
@@ -121,3 +121,17 @@ def test_no_error_is_a_sentence_alone():
             if isinstance(x, ast.Call) and getattr(x.func, "id", "") in ("InputError", "DesignFailure"):
                 fields = {k.arg for k in x.keywords} & {"value", "allowed", "rule"}
                 assert len(x.args) + len(fields) >= 2, f"{file.name}:{x.lineno}"
+
+
+@pytest.mark.parametrize(
+    ("name", "allowed", "meant"),
+    [
+        ("maxiter", ["max_time", "max_lanes", "max_iterations"], "max_iterations"),  # more letters of max_time fit
+        ("maxIter", ["max_time", "max_iterations"], "max_iterations"),
+        ("max_tme", ["max_time", "max_iterations"], "max_time"),
+        ("degrees", ["deg/s", "deg"], "deg"),
+        ("STEPS", ["steps", "stop"], "steps"),
+    ],
+)
+def test_the_nearest_name_is_one_that_begins_so(name, allowed, meant):
+    assert nearest(name, allowed).endswith(f"; did you mean {meant!r}?")

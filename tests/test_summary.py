@@ -6,7 +6,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum
-from torchmbd.summary import few, table
+from torchmbd.summary import few, plural, table
 
 
 @pytest.fixture(scope="module")
@@ -56,3 +56,7 @@ def test_a_problem_is_shown_without_memory_addresses():
     assert " at 0x" not in text
     assert "(abs(StrainEnergy(body='arm')) ** 2)" in text
     assert "measure(reach)" in text
+
+
+def test_one_thing_is_not_several():
+    assert [plural(n, "start") for n in (0, 1, 2)] == ["no starts", "1 start", "2 starts"]

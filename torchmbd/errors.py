@@ -172,16 +172,32 @@ _MISSPELT = (
 def nearest(name: object, allowed: Iterable[object]) -> str:
     """Return `"; allowed: ...; did you mean 'x'?"` for the end of a message about an unknown name."""
     options = [str(option) for option in allowed]
-    close = difflib.get_close_matches(str(name), options, n=3, cutoff=0.5)
-    if close and difflib.SequenceMatcher(None, str(name), close[0]).ratio() < _MISSPELT:
-        close.sort(key=lambda option: len(option) < 3 or not str(name).startswith(option))  # degrees: deg, not deg/s
-    if not close:  # a name in capitals is near to the same in small letters
-        small = {option.lower(): option for option in reversed(options)}
-        close = [small[x] for x in difflib.get_close_matches(str(name).lower(), small, n=1, cutoff=0.5)]
-    hint = f"; did you mean {close[0]!r}?" if close else ""
+    close = _closest(str(name), options)
+    hint = f"; did you mean {close!r}?" if close else ""
     if isinstance(name, str) and name == "device":
         hint = "; torchmbd computes on the CPU alone"
     return f"; allowed: {', '.join(options) or '(none)'}{hint}"
+
+
+def _closest(name: str, options: list[str], cutoff: float = 0.5) -> str | None:
+    """Return the option that is nearest to a name; None if none is near.
+
+    cutoff  least likeness
+    """
+    begun = [option for option in options if len(name) > 2 and _letters(option).startswith(_letters(name))]
+    if len(begun) == 1:  # maxiter: max_iterations, not max_time
+        return begun[0]
+    close = difflib.get_close_matches(name, options, n=3, cutoff=cutoff)
+    if close and difflib.SequenceMatcher(None, name, close[0]).ratio() < _MISSPELT:
+        close.sort(key=lambda option: len(option) < 3 or not name.startswith(option))  # degrees: deg, not deg/s
+    if not close:  # a name in capitals is near to the same in small letters
+        small = {option.lower(): option for option in reversed(options)}
+        close = [small[x] for x in difflib.get_close_matches(name.lower(), small, n=1, cutoff=cutoff)]
+    return close[0] if close else None
+
+
+def _letters(name: str) -> str:
+    return name.replace("_", "").lower()
 
 
 def one_of(kind: str | Path, name: object, allowed: Iterable[object]) -> str:
@@ -323,7 +339,7 @@ def keyword_hints(x: T) -> T:
         except TypeError as error:
             names = argument_names(function)
             for key in kwargs.keys() - set(names):
-                for name in difflib.get_close_matches(key, names, n=1):
+                if name := _closest(key, list(names), cutoff=0.6):
                     error.add_note(f"Try: {name} = ... in place of {key} = {_brief(kwargs[key])}.")
             raise
 

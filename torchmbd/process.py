@@ -15,7 +15,7 @@ import re
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -153,19 +153,25 @@ def cores() -> int:
 
 
 @cache
-def _least_quota(groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")) -> float:
-    """Return the least quota [cores] of the control groups of this process and of those around them; inf without one.
+def _least_quota(of_process: Path = _OF_PROCESS, control_groups: Path = _CONTROL_GROUPS) -> float:
+    """Return the least quota [cores] of the control groups of this process and of those around them; inf without one."""
+    lines = of_process.read_text().splitlines() if of_process.is_file() else []
+    return min([float("inf"), *map(_quota, _group_folders("cpu", lines, control_groups))])
 
-    A line of `groups` is number:controllers:path; version 2 names no controllers.
+
+def _group_folders(controller: str, lines: Iterable[str], control_groups: Path) -> list[Path]:
+    """Return the folders of control groups that have a controller, and of those around them.
+
+    lines  of /proc/self/cgroup, number:controllers:path; version 2 names no controllers
     """
-    quotas = [float("inf")]
-    for line in groups.read_text().splitlines() if groups.is_file() else ():
+    folders: dict[Path, None] = {}
+    for line in lines:
         _, controllers, path = line.split(":", 2)
-        if "cpu" in controllers.split(",") or not controllers:
-            base = root / "cpu" if controllers else root
-            folder = base / path.lstrip("/")
-            quotas += [_quota(place) for place in (folder, *folder.parents) if place.is_relative_to(base)]
-    return min(quotas)
+        if controller in controllers.split(",") or not controllers:
+            root = control_groups / controller if controllers else control_groups
+            bottom = root / path.lstrip("/")
+            folders |= dict.fromkeys(x for x in (bottom, *bottom.parents) if x.is_relative_to(root))
+    return list(folders)
 
 
 def _quota(group: Path) -> float:
@@ -215,17 +221,13 @@ def installed_memory() -> float:
 @cache
 def _control_group_limits(of_process: Path, control_groups: Path) -> list[float]:
     """Limits [bytes] of the control groups that this process is in, of versions 1 and 2, as in containers and SLURM jobs."""
-    groups = of_process.read_text().splitlines() if os.access(of_process, os.R_OK) else []
-    files: dict[Path, None] = {}
-    for group in ["0::/", "0:memory:/", *groups]:  # number:controllers:path; a container may see the root only
-        _, controllers, path = group.split(":", 2)
-        version_1 = "memory" in controllers.split(",")
-        if controllers and not version_1:
-            continue
-        root = control_groups / "memory" if version_1 else control_groups
-        bottom = root / path.lstrip("/")
-        folders = [folder for folder in (bottom, *bottom.parents) if folder.is_relative_to(root)]
-        files |= dict.fromkeys(x / ("memory.limit_in_bytes" if version_1 else "memory.max") for x in folders)
+    lines = of_process.read_text().splitlines() if os.access(of_process, os.R_OK) else []
+    folders = _group_folders(
+        "memory", ["0::/", "0:memory:/", *lines], control_groups
+    )  # a container may see the root only
+    files = [
+        folder / name for folder in folders for name in ("memory.max", "memory.limit_in_bytes")
+    ]  # of versions 2 and 1
     limits = [file.read_text().strip() for file in files if os.access(file, os.R_OK)]
     return [float(limit) for limit in limits if limit.isdigit()]
 

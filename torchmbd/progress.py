@@ -48,16 +48,11 @@ def without_bars() -> Iterator[None]:
         _silent.reset(token)
 
 
-def say(text: str) -> None:
-    """A line on standard error, where a motion has a bar of its own by default or on request."""
-    if not _silent.get() and _reached.get() is not None:
-        print(text, file=sys.stderr)
-
-
 def announce(steps: int, lanes: int) -> None:
-    """Say that a long motion begins, where it has a bar of its own."""
-    if steps >= _LONG:
-        say(f"torchmbd: a motion of {steps} steps begins" + (f", of {lanes} designs" if lanes > 1 else ""))
+    """Print a line on standard error when a long motion begins, if it has a bar of its own by default or on request."""
+    if steps >= _LONG and not _silent.get() and _reached.get() is not None:
+        of_lanes = f", of {lanes} designs" if lanes > 1 else ""
+        print(f"torchmbd: a motion of {steps} steps begins{of_lanes}", file=sys.stderr)
 
 
 @contextmanager

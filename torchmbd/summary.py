@@ -33,6 +33,11 @@ def table(rows: Iterable[Iterable[Any]], titles: Sequence[str] = ()) -> str:
     return f"<table>{f'<tr>{head}</tr>' if head else ''}{body}</table>"
 
 
+def plural(n: int, what: str) -> str:
+    """Return a number of things in words: `no starts`, `1 start`, `8 starts`."""
+    return f"{n or 'no'} {what}{'s' * (n != 1)}"
+
+
 def few(names: Sequence[Any], most: int = 6) -> str:
     """The first of several names, and how many more there are."""
     shown = ", ".join(map(str, names[:most]))

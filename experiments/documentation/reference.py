@@ -30,8 +30,8 @@ GROUPS: dict[str, str] = {
     "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable read_beamdyn read_windio",
     "bodies": "Ground RigidBody FlexibleBody read_bdf write_bdf write_model write_ply_book read_mesh read_matrix "
     "Frame Interface",
-    "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed JointCoupling Drive "
-    "ConstantSpeed Sine SmoothStep",
+    "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane PointOnCurve Distance Fixed "
+    "JointCoupling Drive ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "
     "Pressure Temperature AxialStop RotationalStop PlaneContact forces variable",
     "feedback": "Controller ControlHistory signals",

@@ -46,6 +46,18 @@ def across(axis: str, x: Tensor) -> Tensor:
 LEAD = 0.07  # travel of a screw for a rotation by 1 rad [m]
 
 
+BENT = {
+    "first": (0.0, 0.4, 0.3),
+    "second": (0.0, -0.3, 0.0, 0.2),
+}  # curves over an axis, through frame a
+
+
+def along(axis: str, x: Tensor) -> Tensor:
+    k = "xyz".index(axis)
+    places = [sum(c * x**i for i, c in enumerate(coefficients)) for coefficients in BENT.values()]
+    return x * unit(axis) + places[0] * unit("xyz"[(k + 1) % 3]) + places[1] * unit("xyz"[(k + 2) % 3])
+
+
 def ahead(axis: str, x: Tensor) -> Tensor:
     return across(axis, x) + float(law(tensor(0.7))) * unit(axis)
 
@@ -78,6 +90,7 @@ for axis in "xyz":
         Case("prismatic", 5, lambda x, e=e: (x[0] * e, ONE), given),
         Case("cylindrical", 4, lambda x, k=axis, e=e: (x[0] * e, about(k, float(x[1]))), given),
         Case("pointonplane", 1, lambda x, k=axis: (across(k, x), turned(*x.flip(0).tolist())), {"normal": axis}),
+        Case("pointoncurve", 2, lambda x, k=axis: (along(k, x[0]), turned(*x.flip(0).tolist())), given | BENT),
         Case("planar", 3, lambda x, k=axis: (across(k, x), about(k, float(x[2]))), {"normal": axis}),
         Case("jointcoupling", 5, lambda x, k=axis, e=e: (LEAD * x[0] * e, about(k, float(x[0]))), given),
         Case("drive", 1, lambda x, k=axis: (x, about(k, float(law(tensor(0.7))))), given | {"angle": law}),

@@ -11,6 +11,7 @@ from torch.testing import assert_close
 
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair
+from torchmbd.multibody.joints.point_on_curve import Graph
 from torchmbd.multibody.joints.primitive import KINDS, Angle, Primitive
 from torchmbd.multibody.joints.relation import RELATIONS, Factors, Relation
 
@@ -23,6 +24,8 @@ def primitive(kind: type[Primitive]) -> Primitive:
     """Several primitives of a kind, each with its own length or law."""
     members = tuple(torch.arange(COUNT) for _ in kind.arguments)
     data = LAWS if kind.driven else tuple(0.5 + 0.3 * k for k in range(COUNT))
+    if kind.constants > 1:
+        data = tuple(tuple(0.4 * i - 0.3 * k + 0.1 for i in range(kind.constants)) for k in range(COUNT))
     if issubclass(kind, Relation):
         factors = [tuple(0.7 * i - 0.4 * k for i in range(kind.driven)) for k in range(COUNT)]
         data = tuple(Factors("", x, (None,) * kind.driven, None) for x in factors)
@@ -45,7 +48,7 @@ def numbers(kind: type[Primitive], columns: int = 1) -> list[Tensor]:
     return [random(3, COUNT, columns, LANES, seed=10 + k) for k in range(len(kind.arguments))]
 
 
-kinds = pytest.mark.parametrize("kind", [*KINDS, *RELATIONS.values()], ids=lambda kind: kind.__name__)
+kinds = pytest.mark.parametrize("kind", [*KINDS, Graph, *RELATIONS.values()], ids=lambda kind: kind.__name__)
 
 
 @kinds

@@ -29,7 +29,7 @@ def tip_deviation(motion, factor=1.0):
         (mbd.Mass("a") + mbd.Mass("b"), "mass of a + mass of b [kg]"),
         (mbd.Mass("a") - mbd.Mass("b"), "mass of a - mass of b [kg]"),
         (mbd.Mass("a") * mbd.Mass("b"), "mass of a · mass of b [kg²]"),
-        (1e3 * mbd.Mass(), "1000 · mass"),
+        (1e3 * mbd.Mass(), "1000 · mass of all bodies"),
         (mbd.WeightedSum([(1.0, mbd.Mass("a"))]), "weighted sum"),
         (mbd.RMS(mbd.Reaction("hinge", "z", kind="torque")), "rms of z reaction of hinge [N m]"),
     ],
@@ -60,3 +60,8 @@ def test_a_function_may_have_a_unit():
     assert unit(mbd.measure(lambda motion: motion.t)) is None
     with refused("unit", 3):
         mbd.measure(unit=3)(lambda motion: motion.t)
+
+
+def test_the_mass_of_no_body_in_particular_is_that_of_all():
+    assert words(mbd.Mass()) == "mass of all bodies"
+    assert words(mbd.Mass("rod")) == "mass of rod"

@@ -8,7 +8,7 @@ import torch
 
 from tests.refused import refused
 from torchmbd.errors import InputError
-from torchmbd.math.checked_numbers import indices, positive, reals, scalar
+from torchmbd.math.checked_numbers import indices, nonnegative, positive, reals, scalar
 
 
 @pytest.mark.parametrize("given", [[1, 2], (1.0, 2.0), np.array([1, 2]), torch.tensor([1.0, 2.0]), range(1, 3)])
@@ -47,3 +47,10 @@ def test_numbers_that_are_none_are_named():
         with refused("mass"):
             read(torch.ones((), requires_grad=True))
     assert (positive("x", torch.tensor(2.0), "m"), scalar("x", -3)) == (2.0, -3.0)
+
+
+@pytest.mark.parametrize("read", [positive, nonnegative])
+def test_a_value_without_a_unit_has_no_blank_behind_it(read):
+    with refused("deviation", -1.0) as caught:
+        read("deviation", -1.0, "")
+    assert " ;" not in str(caught.value)

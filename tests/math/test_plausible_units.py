@@ -195,3 +195,15 @@ def test_what_some_structure_has_is_not_doubted(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         LEGITIMATE[name]()
+
+
+@pytest.mark.parametrize("direction", [(0.0, -1.0, 0.0), (0.6, 0.0, -0.8)])
+@pytest.mark.parametrize(("size", "unit"), [(9810.0, "mm"), (980.665, "cm"), (386.09, "in"), (32.174, "ft")])
+def test_the_gravity_of_the_earth_in_another_unit_is_doubted(direction, size, unit):
+    bob = mbd.RigidBody("bob", 1.0, (1.0, 1.0, 1.0))
+    with pytest.warns(UserWarning, match=f"units of gravity.*{unit}/s2"):
+        mbd.System([bob], [], gravity=[size * x for x in direction])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for other in (0.0, 1.62, 9.81, 24.8, 100.0, 1000.0):  # nothing, moon, earth, Jupiter, centrifuges
+            mbd.System([bob], [], gravity=[other * x for x in direction])

@@ -141,6 +141,12 @@ def test_what_it_refuses():
             RobustProblem(bowl(), tolerance)
     with refused("tolerance"):
         RobustProblem(Analytic("many", [0.0] * 13, lambda x: 1 + (x**2).sum()), 0.1, "worst")
+    for period in (0.0, 8.0):  # of a variable that repeats itself, designs beyond the bounds exist
+        narrow = bowl()
+        narrow.period = np.full(len(narrow.names), period)
+        width = float(narrow.upper[0] - narrow.lower[0])
+        with refused("tolerance.x1", 0.6 * width):
+            RobustProblem(narrow, [0.6 * width, *[0.0] * (len(narrow.names) - 1)])
     with refused("start (inside the bounds by tolerance).x2"):
         RobustProblem(bowl(), 1.1)
     equal = bowl()

@@ -49,6 +49,14 @@ def test_a_torque_that_rings_is_told(read) -> None:
         read(motion)
 
 
+@pytest.mark.parametrize("phases", [None, [mbd.Phase(until=0.4), mbd.Phase()]])
+@pytest.mark.parametrize("kind", [mbd.Max, mbd.Integral])
+def test_measures_tell_a_torque_that_rings_whatever_the_phases(kind, phases) -> None:
+    motion = mbd.simulate(driven(), DURATION, steps=40, phases=phases, gradients="none")
+    with warned("torque of joint 'motor'", "until t = "):
+        kind(mbd.Reaction("motor", "z", "torque"))(motion)
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize(("steps", "options"), [(640, {}), (40, {"spectral_radius": 0.0})])
 def test_what_helps_is_not_told(steps: int, options: dict[str, float]) -> None:
@@ -69,6 +77,7 @@ def test_a_jump_of_a_reaction_at_a_switch_is_no_ringing() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         motion.reaction("hinge")
+        mbd.Max(mbd.Reaction("hinge", "y"))(motion)
 
 
 @pytest.mark.thorough

@@ -77,6 +77,7 @@ def test_what_is_logged_is_read_back(uri, tmp_path):
     assert parent.info.status == child.info.status == "FINISHED"
     times = [parent.info.start_time, child.info.start_time, child.info.end_time, parent.info.end_time]
     assert sorted([before, *times, logged]) == [before, *times, logged]  # when it was logged, not when it was sent
+    assert tracker.seconds == pytest.approx((times[-1] - times[0]) / 1000, abs=0.01)  # one duration for all who ask
     files = tmp_path / "store" / "mlartifacts" / record.runs["study"] / "artifacts"
     assert (files / "figures" / "a.txt").read_text() == "picture"
     assert parent.info.artifact_uri == f"mlflow-artifacts:/{record.runs['study']}/artifacts"  # where its server has it

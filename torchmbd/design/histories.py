@@ -183,8 +183,12 @@ class Displacement(Position):
     def natural_zero(self) -> bool:
         return True
 
+    @property
+    def since_start(self) -> bool:
+        return self.node is None or self.observer != self.body
+
     def vector(self, motion: Trajectory) -> Tensor:
-        if self.observer == self.body and self.node is not None:
+        if not self.since_start:
             return motion.body(self.body).at(self.node).displacement
         y = super().vector(motion)
         return y - y[:, :1]

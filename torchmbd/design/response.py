@@ -65,6 +65,11 @@ class History(ConstantArguments):
         """True if zero has a meaning: for an energy it has one, but not for a position, whose origin is a choice."""
         return True
 
+    @property
+    def since_start(self) -> bool:
+        """True if the value is a change since the start of the motion: a state alone does not have it."""
+        return False
+
     def __call__(self, motion: Trajectory) -> Tensor:
         """Value [lanes, times]; lanes that failed have nan, and no derivative."""
         _check(self, motion)
@@ -132,6 +137,10 @@ class Combined(History):
         return all(part.smooth for part in self.parts if isinstance(part, History))
 
     natural_zero = property(lambda self: keeps_zero(self.operation, self.parts))
+
+    @property
+    def since_start(self) -> bool:
+        return any(part.since_start for part in self.parts if isinstance(part, History))
 
     def values(self, motion: Trajectory) -> Tensor:
         return self.operation(*(part.values(motion) if isinstance(part, History) else part for part in self.parts))

@@ -17,7 +17,7 @@ import torch
 from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.functions import FunctionHistory, FunctionMeasure
 from torchmbd.design.histories import Reaction
-from torchmbd.design.measures import Frequency, Integral
+from torchmbd.design.measures import Frequency, Integral, Mass
 from torchmbd.design.response import Combined, CombinedMeasure, History, Measure, Total
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.weighted import WeightedSum
@@ -74,6 +74,8 @@ def words(response: Response, bodies: bool = True) -> str:
     if isinstance(axis, str):
         name = f"{name} about {axis}" if name == "angle" else f"{axis} {name}"
     part = getattr(response, "body", getattr(response, "joint", None))
+    if isinstance(response, Mass) and part is None:
+        part = "all bodies"
     return f"{name} of {part}" if bodies and isinstance(part, str) else name
 
 

@@ -67,7 +67,7 @@ def positive(name: str | Path, value: Any, unit: str) -> float:
     allowed = "a positive and finite number"
     x = scalar(name, value, allowed, f" {unit}")
     if not x > 0.0:
-        raise InputError(name, value, allowed, shown=f"{value!r} {unit}")
+        raise InputError(name, value, allowed, shown=f"{value!r} {unit}".rstrip())
     return x
 
 
@@ -76,7 +76,7 @@ def nonnegative(name: str | Path, value: Any, unit: str) -> float:
     allowed = "zero, or a positive and finite number"
     x = scalar(name, value, allowed, f" {unit}")
     if x < 0.0:
-        raise InputError(name, value, allowed, shown=f"{value!r} {unit}")
+        raise InputError(name, value, allowed, shown=f"{value!r} {unit}".rstrip())
     return x
 
 

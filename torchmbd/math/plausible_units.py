@@ -14,6 +14,7 @@ modulus or density is a warning, as some structure may have it.
     strength along the fibre                   1e-5 of the modulus at least
     radius of gyration of a rigid body         up to 20 m
     turn of a drive                            not exactly 30, 45, 60, 90, 180, 270, 360 rad
+    gravity                                    not 9810, 981, 386 or 32.2 m/s2, which is that of the earth in mm, cm, in, ft
 
 The quantity of a parameter is known from its name: `angles`, `thickness`, `width`, `E1`, `density`.
 Checked in tests/math/test_plausible_units.py.
@@ -47,6 +48,8 @@ _USUAL = {
 }
 _TURNS = {"pi / 4": math.pi / 4.0, "pi / 2": math.pi / 2.0, "pi": math.pi, "2 pi": 2.0 * math.pi}
 _IN_DEGREES = (30.0, 45.0, 60.0, 90.0, 180.0, 270.0, 360.0)
+_LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}  # unit -> m
+_EARTH, _NEAR_EARTH = 9.807, 0.03  # m/s2: standard gravity, and its range from the equator (9.780) to the poles (9.832)
 WHOLE_TURN = 2.0 * math.pi * (1.0 + 1e-12)  # 360 degrees, rounded
 
 
@@ -67,6 +70,14 @@ def warn_degrees(name: str, value: float) -> None:
     """Warn if a turn of a drive [rad], which may be many turns, is a common number of degrees such as 90."""
     if abs(value) in _IN_DEGREES:
         warn(f"{name} = {value:g} rad: is this angle in degrees? Try: mbd.deg({value:g}), if it is in degrees")
+
+
+def warn_gravity(values: Tensor) -> None:
+    """Warn if the size of an acceleration of gravity [3], m/s2, is that of the earth in another unit of length."""
+    size = float(values.detach().norm())
+    for unit, meters in _LENGTHS.items():
+        if abs(size * meters - _EARTH) < _NEAR_EARTH:
+            warn(f"units of gravity? Its size is {size:.6g} m/s2, that of the earth in {unit}/s2; allowed: m/s2")
 
 
 def turn_in_radians(degrees: Iterable[float]) -> str | None:

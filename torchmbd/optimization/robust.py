@@ -68,6 +68,10 @@ class RobustProblem:
             allowed = f"a number or {start.size} of them, not negative, not all zero"
             raise InputError("tolerance", tolerance, allowed)
         d = np.array(np.broadcast_to(d, start.shape))
+        for name, tolerated, low, high in zip(problem.names, d, lower, upper, strict=True):
+            if 0.0 < high - low < 2.0 * tolerated:  # a constant may have a tolerance
+                rule, noun = "must be at most half the distance of the bounds", f"tolerance {tolerated:g} of {name}"
+                raise InputError(("tolerance", name), float(tolerated), rule=rule, shown="", noun=noun)
         if getattr(problem, "has_extra_variable", False):
             d[-1] = 0.0  # it is no design variable
         inside = np.where(self.period > 0.0, 0.0, d)

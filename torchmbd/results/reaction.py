@@ -19,6 +19,7 @@ from torchmbd.errors import InputError, one_of, warn
 from torchmbd.math.pair import value
 from torchmbd.math.rotation import exponential, rotation_matrix
 from torchmbd.multibody.bodies import Frame, Ground
+from torchmbd.multibody.bodies.rigid import same_body
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.times_as_lanes import as_lanes
 from torchmbd.multibody.joints.joint import Joint
@@ -89,7 +90,7 @@ def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) ->
     gradient = equations.force_on_vectors(T, at, in_lanes(motion.lam * rows))
     force = torque = torch.zeros_like(motion.v[..., :3])
     for i, attached in enumerate(T.attached):
-        if attached.body is side.body:
+        if same_body(attached.body, side.body):
             f, g = at_times(motion, gradient[:, i]), at_times(motion, at.g[:, i])
             arm = g - about if attached.is_point else g
             force = force - f if attached.is_point else force

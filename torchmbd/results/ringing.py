@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from torchmbd.results.motion_data import MotionData
 
 SHARE = 0.05  # of the largest value, as of elastic_limits.py
+_EQUAL = 1e-6  # of a step: rounding of times
 _ROUNDING = 1e-9  # of the largest multiplier: a reaction that is nothing else
 
 
@@ -32,13 +33,23 @@ def alternation(x: Tensor) -> Tensor:
     return torch.minimum(flips[..., 1:], flips[..., :-1]).clamp_min(0.0).sqrt()
 
 
+def _four_steps(t: Tensor, step: float) -> Tensor:
+    """Whether the times n to n + 4 are the ends of equal steps of at most this size [times - 4].
+
+    A lane with switches has both states of each at one time; between checkpoints there are steps whose states are not kept.
+    """
+    intervals = t.diff().unfold(0, 4, 1)
+    longest, shortest = intervals.amax(-1), intervals.amin(-1)
+    return (longest - shortest <= _EQUAL * longest) & (longest <= (1.0 + _EQUAL) * step)
+
+
 def warn_of_ringing(motion: MotionData, joint: str, kind: str, x: Tensor) -> None:
     """Warn where more than a twentieth of the largest force or torque of a joint alternates [lanes, times, 3]."""
-    x = untransformed(x)
-    if x.shape[-2] < 5 or motion.stats.get("steps") != x.shape[-2] - 1:  # adaptive methods, or some states alone
+    x, step = untransformed(x), motion.stats.get("step_size")
+    if x.shape[-2] < 5 or step is None:  # adaptive methods
         return
     t = untransformed(motion.t)
-    amplitude = alternation(x).nan_to_num(0.0)
+    amplitude = torch.where(_four_steps(t, step), alternation(x).nan_to_num(0.0), 0.0)
     for switch in motion.switches:  # values on both sides of a jump are no ringing
         when = untransformed(switch.t)[..., None]
         amplitude = torch.where((t[..., :-4] <= when) & (when <= t[..., 4:]), 0.0, amplitude)

@@ -49,6 +49,7 @@ from torchmbd.study.record.paths import evaluations_file, problem_key
 from torchmbd.study.report.progress import Beginning
 from torchmbd.study.report.start_values import Value, print_start_values, start_values, worst_share
 from torchmbd.study.settings import StudySettings
+from torchmbd.summary import plural
 from torchmbd.viz.figures import convergence, save
 from torchmbd.viz.panels import histories_of, panels_of
 
@@ -103,7 +104,7 @@ def estimate(study: StudySettings, problem: Problem) -> Estimate:
         starts, groups = np.repeat(starts, around, axis=0), [around * size for size in groups]
     X = starts[:LANES, : len(problem.names)]
     mode = problem.gradients if study.sweep is None else "none"
-    begin_stage(f"measuring the beginning of {_counted(len(X) * cases, 'motion')}, gradients: {mode}")
+    begin_stage(f"measuring the beginning of {plural(len(X) * cases, 'motion')}, gradients: {mode}")
     each = math.ceil(_PER_ITERATION * study.max_iterations) if study.sweep is None else 1
     first, batch, size = _measure_batch(problem, X, mode)
     others = {}
@@ -145,7 +146,7 @@ def _measure_batch(problem: Problem, X: np.ndarray, mode: str) -> tuple[float, f
     for share in shares:
         tries: list[float] = []
         if max([once, *(seconds for _, seconds in times)]) > _LONG:
-            begin_stage(f"measuring {share:.0%} of the motions of {_counted(len(X), 'design')}, gradients: {mode}")
+            begin_stage(f"measuring {share:.0%} of the motions of {plural(len(X), 'design')}, gradients: {mode}")
         # The fastest: the difference of two lengths is multiplied by up to 25, with its errors.
         while len(tries) < _TRIES and not (tries and tries[0] > _LONG):
             began = _clocks()
@@ -220,13 +221,13 @@ def print_estimate(study: StudySettings, console: Console) -> Estimate | None:
     problem = study.simulated
     valid = f"{study.name if study.origin is None else study.origin.file} is valid"
     if not isinstance(problem, Problem):
-        console.print(f"{valid}: {_counted(len(study.columns.names), 'design variable')}", markup=False)
+        console.print(f"{valid}: {plural(len(study.columns.names), 'design variable')}", markup=False)
         return None
     goal = ", ".join(study.problem.criteria) if study.front else words(problem.stated_objective)
     others = len(study.problem.criteria) - 1 if study.front else 0
     console.print(
-        f"{valid}: {goal}, {_counted(len(study.columns.names), 'design variable')}, "
-        f"{_counted(len(problem.constraints) - others, 'constraint')}"
+        f"{valid}: {goal}, {plural(len(study.columns.names), 'design variable')}, "
+        f"{plural(len(problem.constraints) - others, 'constraint')}"
         + _TOLERANCE_WORDS.get(getattr(study.problem, "kind", ""), "")
         + _over_scenarios(problem),
         markup=False,
@@ -310,7 +311,7 @@ def _over_scenarios(problem: Problem) -> str:
     """Return `, worst of 20 scenarios`, "" for a problem without scenarios."""
     if not isinstance(problem, Scenarios):
         return ""
-    return f", {'worst' if problem.peaks else 'mean'} of {_counted(len(problem.scenarios), 'scenario')}"
+    return f", {'worst' if problem.peaks else 'mean'} of {plural(len(problem.scenarios), 'scenario')}"
 
 
 def _print_truncation(problem: Problem, console: Console) -> None:
@@ -322,10 +323,6 @@ def _print_truncation(problem: Problem, console: Console) -> None:
     small = f"make joints and forces {100 * max(truncation.share, 0.0):.1g} % too stiff at most"
     text = f"retained modes: {small}" if truncation.share <= limit else f"warning: {truncation}"
     console.print(text, markup=False, soft_wrap=True)
-
-
-def _counted(n: int, what: str) -> str:
-    return f"{n or 'no'} {what}{'s' * (n != 1)}"
 
 
 def _duration(seconds: float) -> str:

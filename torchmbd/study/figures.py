@@ -117,19 +117,11 @@ def run_figures(
     ):
         runs = Runs(record.tracker, Path(folder))
         runs.begin(plan.name, plan.data.resolved(), {"kind": "figures"}, *origin, plan.source.question)
-        status: Status = "FAILED"
-        try:
-            _draw(plan, runs, console)
-            status = "FINISHED"
-        except KeyboardInterrupt:
-            status = "KILLED"
-        finally:
-            runs.end_all(status)
-            record.close()
-        return record.tell_outcome(status)
+        record.carry_out(partial(_draw, plan, runs, console))
+        return record.tell_outcome()
 
 
-def _draw(plan: FiguresPlan, runs: Runs, console: Console) -> None:
+def _draw(plan: FiguresPlan, runs: Runs, console: Console) -> Status:
     draw = find_function(plan.data.figures, plan.source.folder)
     try:
         shown = draw(folder=runs.folder, **plan.data.options)
@@ -147,6 +139,7 @@ def _draw(plan: FiguresPlan, runs: Runs, console: Console) -> None:
     for file in sorted(runs.folder.rglob("*")):
         if file.suffix in PICTURES:
             runs.file(file, "figures")
+    return "FINISHED"
 
 
 FIGURES = Kind("draws figures; allowed here: a study or a sweep", Figures, _read, figures_key, run_figures, _check)

@@ -19,6 +19,7 @@ from torchmbd.study.record.runs import child
 from torchmbd.study.report.progress import SearchCounter, print_table, shown_rows, table_of
 from torchmbd.study.report.terminal import missing_picture_reported, save_figure
 from torchmbd.study.settings import StudySettings
+from torchmbd.summary import plural
 from torchmbd.tracking import Status
 
 
@@ -49,7 +50,7 @@ def run_front(
         numbers |= {"objective": float(point.criteria[0]), "violation": point.result.violation}
         journal.tracker.metrics(child(k), numbers | journal.design_metrics(point.x))
         journal.status(k, point.result)
-        journal.end(child(k), "FINISHED")
+        journal.tracker.end(child(k), "FINISHED")
     _show(study, front, journal, console)
     journal.summary({"points": len(front.points), "dropped_points": front.dropped, "failed_points": front.failed}, {})
     return front, "KILLED" if front.interrupted else "FINISHED"
@@ -58,7 +59,9 @@ def run_front(
 def _show(study: StudySettings, front: Front, journal: Journal, console: Console) -> None:
     units = getattr(study.problem, "units", [None] * len(front.names))
     headings = [f"{name} [{unit}]" if unit else name for name, unit in zip(front.names, units, strict=True)]
-    table = table_of(f"{study.name}: {len(front.points)} points", ["point", *headings, *study.columns.headings])
+    table = table_of(
+        f"{study.name}: {plural(len(front.points), 'point')}", ["point", *headings, *study.columns.headings]
+    )
     rows = shown_rows(len(front.points))
     for k, point in ((k, front.points[k]) for k in rows):
         values = [f"{value:z.2f}" for value in study.columns.by_name(point.x).values()]

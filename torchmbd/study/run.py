@@ -44,6 +44,7 @@ from torchmbd.study.report.terminal import active_text, print_results, save_pict
 from torchmbd.study.settings import Outcome, StudySettings
 from torchmbd.study.sweep import run_sweep
 from torchmbd.study.verify import verify_best
+from torchmbd.summary import plural
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import ACTIVE, SEARCH_TEXT
 from torchmbd.tracking.uri import StoreURI
@@ -118,10 +119,11 @@ def run_study(
             return stores[-1], evaluator if offline else other if pool is None else pool.for_problem(other)
 
         cached = CachedProblem(problem, store, evaluator, journal.evaluated, beginning.batch, others)
-        status: Status = "FAILED"
         result: Any = None
         verified: Verification | None = None
-        try:
+
+        def run() -> Status:
+            nonlocal result, verified
             if study.sweep is not None:
                 result, status = run_sweep(study, problem, cached.evaluate, journal, console)
             elif study.front:
@@ -129,16 +131,16 @@ def run_study(
             else:
                 with _load_warnings_in_answer(study):
                     result, status, verified = _search(study, cached, stores, lanes, journal, console)
-        except KeyboardInterrupt:
-            status = "KILLED"
+            return status
+
+        try:
+            record.carry_out(run, lambda: _trouble(stores))
         finally:
-            journal.end_all(status)
-            record.close(_trouble(stores))
-            study.outcome = Outcome(status, result, record.run_id, verified)
+            study.outcome = Outcome(record.status, result, record.run_id, verified)
         if journal.trouble:
             console.print(f"A file is missing: {escape(journal.trouble)}", style="red", soft_wrap=True)
         known = f", {cached.hits} of {cached.hits + cached.computed} evaluations known" if cached.hits else ""
-        code = record.tell_outcome(status, known, workers=workers, scheduler=scheduler)
+        code = record.tell_outcome(known, workers=workers, scheduler=scheduler)
         return code or (0 if verified is None or verified.verified else UNVERIFIED)
 
 
@@ -192,7 +194,7 @@ def _search(
     target = study.with_evaluator(cached)
     each = getattr(target, "simulations", 1)  # of one design
     options: dict[str, Any] = {"max_lanes": max(1, lanes // each)} | study.options
-    title = f"{study.name}: {study.method} from {len(points)} start{'s' if len(points) > 1 else ''}"
+    title = f"{study.name}: {study.method} from {plural(len(points), 'start')}"
     words = {"expected": "mean", "worst": "worst case"}.get(getattr(study.problem, "kind", ""))
     if words:
         console.print(f"the objective is its {words} over the tolerances", style="dim")

@@ -39,7 +39,7 @@ from torchmbd.optimization.search import TIMES
 from torchmbd.results.answer import Verification
 from torchmbd.study.file.schema import NAME, UNITS, StudyFile
 from torchmbd.study.report.columns import Columns
-from torchmbd.summary import Summary
+from torchmbd.summary import Summary, plural
 from torchmbd.tracking.store import checked_uri
 from torchmbd.tracking.uri import StoreURI
 
@@ -144,7 +144,8 @@ class StudySettings(Summary):
         return Columns.of(names, angles | dict(units or {}), scalars)
 
     def _summary(self) -> list[tuple[str, Any]]:
-        searches = f"{len(self.problem.names)} design variables, {self.starts.count} starts, {self.method}"
+        variables = plural(len(self.problem.names), "design variable")
+        searches = f"{variables}, {plural(self.starts.count, 'start')}, {self.method}"
         return [("name", self.name), ("question", self.question or "none"), ("problem", searches)]
 
     def _checked_increments(self, increments: Mapping[str, float | Tensor] | None) -> list[float | None]:

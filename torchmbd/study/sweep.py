@@ -146,7 +146,7 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
     else:
         journal.tracker.tags(child(k), {"last_failure": evaluation.status})
     journal.tracker.metrics(child(k), numbers)
-    journal.end(child(k), "FINISHED" if evaluation.status == "ok" else "FAILED")
+    journal.tracker.end(child(k), "FINISHED" if evaluation.status == "ok" else "FAILED")
 
 
 def _criteria(problem: Problem, first: Evaluation, evaluations: list[Evaluation]) -> dict[str, list[float]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import shutil
 from dataclasses import dataclass
 from datetime import datetime
@@ -76,6 +78,19 @@ def fetch(uri: StoreURI, entry: Entry, name: str, folder: Path) -> Path | None:
     if all(item.path != name for item in client.list_artifacts(entry.run_id, parent)):
         return None
     return Path(client.download_artifacts(entry.run_id, name, str(folder)))
+
+
+def tables(uri: StoreURI, entry: Entry, folder: Path) -> dict[str, list[list[str]]]:
+    """Return the tables that a run has by its tag, heading -> rows, the first of which names the columns.
+
+    folder  takes copies of the files
+    """
+    result = {}
+    for title, name in json.loads(entry.tags.get(TABLES, "{}")).items():
+        if file := fetch(uri, entry, name, folder):
+            with file.open(newline="", encoding="utf-8") as lines:
+                result[title] = list(csv.reader(lines))
+    return result
 
 
 def files(uri: StoreURI, entry: Entry, folder: str) -> list[str]:

@@ -1,8 +1,8 @@
-"""Runs in an MLflow store, written in the background: a study waits for the store only at its end.
+"""The journal of a study's runs, which a writer brings into an MLflow store: a study waits for the store only at its end.
 
-    study                                 thread                  process (store_process.py)
-    metrics("start_3", {...}, 7)    ->    every few seconds  ->   MlflowClient.log_batch of what was logged of each run
-    close()                         ->    the rest; then the Record
+    study                              journal, a file                       writer (writer.py)
+    metrics("start_3", {...}, 7)  ->   {"run": "start_3", "metrics": ...} -> MlflowClient.log_batch, every few seconds
+    close()                       ->   the rest; then the Record
 
     begin    open a run under a key ("study", "start_3"), perhaps as the child of another
     metrics  log numbers of one step (an iteration)
@@ -10,47 +10,50 @@
     artifact log a file
     view     define the table of the children: metrics, parameters and tags
     end      end a run: FINISHED, FAILED or KILLED
+    end_all  end every run that is open
     close    end open runs as KILLED, wait for the store, return where the runs are
 
-Times are those of logging. To send the same again changes nothing in the store, so whatever fails is sent again, until the
-store answers, or until `TORCHMBD_PATIENCE` seconds (default 15) after the end of the study. What the store refuses (a file
-that does not exist) is named by `close`; everything else is sent.
+Each call is a line of the journal, a part of a run in JSON with the time of the call. If the disk is full, lines wait in
+memory. The writer reads the lines in another process, so that importing and calling MLflow takes no time of the search. If
+MLflow is imported here already, the writer is a thread. If its process is killed, another one reads the journal again.
+
+To send a part again changes nothing in the store. So the writer sends again whatever fails until the store answers, or until
+`TORCHMBD_PATIENCE` seconds (default 15) after the end of the study. `close` names what the store refuses, such as a file that
+does not exist; everything else is sent.
 
 `study` is the same for all processes that run a study: one that continues a killed study finds its runs by the tags study_key
-and run_key, and writes no metric twice. Runs of a process that was killed are ended by whoever reads the store next
-(run_process.py). Checked in tests/tracking/test_tracker.py.
+and run_key, and writes no metric twice. Whoever reads the store next ends the runs of a process that was killed
+(run_process.py). Checked in tests/tracking/test_tracker.py, test_writer.py.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import subprocess
 import sys
+import tempfile
 import threading
 import time
 import uuid
-from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from torchmbd.process import utf8
 from torchmbd.tracking.run_process import process_tag
-from torchmbd.tracking.store import first_line, store_uri
-from torchmbd.tracking.store_process import StoreProcess
-from torchmbd.tracking.study_store import PendingRun, Point, StudyStore
+from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 from torchmbd.tracking.uri import StoreURI
+from torchmbd.tracking.writer import JOURNAL, State, Writer, read_state
 
 FILES = "files"  # tag of a run that is over: the names of its files, one a line
 PATIENCE = "TORCHMBD_PATIENCE"  # environment variable: seconds to wait for a store that is away when the study is over
-_INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share of a core that writing takes at most
-# Seconds until a store that is away is tried again, while the study computes and after it.
-_RETRY, _LAST_RETRY = (
-    5.0,
-    0.5,
-)
+_RETRY = 0.5  # seconds until a full disk, or a writer that was killed, is tried again after the study
 _MAX_VALUE = 6000  # characters of a parameter; MLflow's own limit
 _UNGROUPED = "Model metrics"  # section of charts of metrics without a group, by MLflow
+_SERVE = "import sys; sys.path[:] = {path!r}; from torchmbd.tracking.writer import serve; serve()"
 
 
 class MlflowTracker:
@@ -62,15 +65,17 @@ class MlflowTracker:
     def __init__(self, experiment: str, uri: str | StoreURI | None = None, study: str | None = None) -> None:
         self.experiment, self.uri = experiment, store_uri(uri)
         self.study = study or uuid.uuid4().hex
-        self.trouble: str | None = None  # why nothing reaches the store at present
-        self._lock = threading.Lock()
-        self._pending: dict[str, PendingRun] = {}  # logged since the last delivery, by the key of the run
         self._open: dict[str, bool] = {}  # every run that has begun: whether it is open
         self._files: dict[str, set[str]] = {}  # names of the files of every run
+        self._began = self._ended = 0  # ms since 1970, of the first run to begin and the last to end
         self._last = 0  # ms since 1970 of the last metric
-        self._store = self._new_store()
-        self._closing, self._deadline = threading.Event(), float("inf")
-        self._thread = threading.Thread(target=self._deliver, name="mlflow", daemon=True)
+        self._folder: tempfile.TemporaryDirectory[str] | None = None  # of the journal
+        self._lines = b""  # not in the journal yet
+        self._fault: str | None = None  # why the journal or its writer cannot be had
+        self._state: State | None = None  # the last one, after `close`
+        self._writer: Writer | None = None  # in the thread
+        self._thread: threading.Thread | None = None
+        self._process: subprocess.Popen[bytes] | None = None
 
     def begin(
         self,
@@ -84,28 +89,22 @@ class MlflowTracker:
             raise TrackingError(f"run {run!r} has begun already")
         if parent is not None:
             self._require(parent)
-        with self._lock:
-            texts = {key: value[:_MAX_VALUE] for key, value in _texts(params or {}).items()}
-            self._pending[run] = PendingRun(utf8(name), _now(), parent, texts, _texts(tags or {}))
         self._open[run] = True
-        if self._thread.ident is None:
-            self._thread.start()
+        self._began = self._began or _now()
+        texts = {key: value[:_MAX_VALUE] for key, value in _texts(params or {}).items()}
+        self._log(run, _now(), name=utf8(name), parent=parent, params=texts, tags=_texts(tags or {}))
 
     def metrics(self, run: str, values: Mapping[str, float], step: int = 0) -> None:
         self._last = max(_now(), self._last + 1)  # the later of two at one step is the last one
-        with self._lock:
-            points = self._draft(run).metrics
-            points += [Point(key, float(value), self._last, step) for key, value in values.items()]
+        self._log(run, self._last, metrics={key: float(value) for key, value in values.items()}, step=step)
 
     def tags(self, run: str, values: Mapping[str, str]) -> None:
-        with self._lock:
-            self._draft(run).tags.update(_texts(values))
+        self._log(run, _now(), tags=_texts(values))
 
     def artifact(self, run: str, file: str | Path, folder: str = "") -> None:
         """Log a file, which must exist until `close` has returned."""
-        with self._lock:
-            self._draft(run).artifacts.append((Path(file).absolute(), folder))
-            self._files.setdefault(run, set()).add(f"{folder}/{Path(file).name}".lstrip("/"))
+        self._log(run, _now(), file=str(Path(file).absolute()), folder=folder)
+        self._files.setdefault(run, set()).add(f"{folder}/{Path(file).name}".lstrip("/"))
 
     def view(
         self, run: str, columns: Sequence[str], order_by: str, ascending: bool = True, groups: Sequence[str] = ()
@@ -130,86 +129,129 @@ class MlflowTracker:
             "compareRunSections": sections,
             "isAccordionReordered": True,  # else MLflow sorts sections, and the one without a group is the last
         }
-        with self._lock:
-            self._draft(run).view = json.dumps(state)
+        self._log(run, _now(), view=state)
 
     def end(self, run: str, status: Status) -> None:
-        with self._lock:
-            draft = self._draft(run)
-            draft.ended = status, _now()
-            if names := utf8("\n".join(sorted(self._files.get(run, ())))):
-                draft.tags[FILES] = names if len(names) < _MAX_VALUE else names[:_MAX_VALUE].rpartition("\n")[0]
-        self._open[run] = False
+        names = utf8("\n".join(sorted(self._files.get(run, ()))))
+        names = names if len(names) < _MAX_VALUE else names[:_MAX_VALUE].rpartition("\n")[0]
+        self._log(run, _now(), tags={FILES: names} if names else {}, ended=status)
+        self._open[run], self._ended = False, _now()
+
+    def end_all(self, status: Status) -> None:
+        """End every run that is open, children before their parent."""
+        for run in reversed([run for run, is_open in self._open.items() if is_open]):
+            self.end(run, status)
 
     def close(self) -> Record:
         """Wait until everything is in the store; TrackingError names what is not."""
-        for run in reversed([run for run, is_open in self._open.items() if is_open]):  # children before their parent
-            self.end(run, "KILLED")
-        if self._thread.ident is None:  # nothing was logged: no store is made for it
+        self.end_all("KILLED")
+        if not self._open:  # nothing was logged: no store is made for it
             return self.record
-        self._deadline = time.monotonic() + float(os.environ.get(PATIENCE, "15"))
-        self._closing.set()
-        self._thread.join()
-        self._store.close()
+        deadline = time.monotonic() + float(os.environ.get(PATIENCE, "15"))  # one clock for all processes of a machine
+        while True:
+            if self._passed_on():
+                self._await_end(deadline)
+            self._state = self._present()
+            if self._state.ended:
+                break
+            if time.monotonic() > deadline:
+                self._fault = self._fault or "the process that writes to MLflow was killed"
+                break
+            time.sleep(_RETRY)
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
         if self.trouble:
             raise TrackingError(self.trouble)
-        if self._store.refused:
-            raise TrackingError("; ".join(self._store.refused))
+        if self._state.refused:
+            raise TrackingError("; ".join(self._state.refused))
         return self.record
+
+    @property
+    def trouble(self) -> str | None:
+        """Why nothing reaches the store at present; None if it does."""
+        return self._fault or self._present().trouble
 
     @property
     def record(self) -> Record:
         """The runs that the store has so far."""
-        return Record(self.uri, self._store.experiment_id, dict(self._store.ids))
+        state = self._present()
+        return Record(self.uri, state.experiment_id, state.ids)
 
-    def _new_store(self) -> StudyStore | StoreProcess:
-        """The store in this process where MLflow is imported already, else in one that takes no time of the search."""
-        if "mlflow" in sys.modules:
-            return StudyStore(self.experiment, self.uri, self.study, process_tag())
-        return StoreProcess(self.experiment, self.uri, self.study)
+    @property
+    def seconds(self) -> float:
+        """The time from the begin of the first run to the end of the last [s]."""
+        return (self._ended - self._began) / 1000
+
+    def _present(self) -> State:
+        """Return what the writer has said last."""
+        if self._folder is None:
+            return self._state or State()
+        return read_state(Path(self._folder.name))
 
     def _require(self, run: str) -> None:
         if run not in self._open:
             raise TrackingError(f"run {run!r} has not begun")
 
-    def _draft(self, run: str) -> PendingRun:
+    def _log(self, run: str, when: int, **part: Any) -> None:
+        """Log a part of a run."""
         self._require(run)
-        return self._pending.setdefault(run, PendingRun())
+        self._lines += json.dumps({"run": run, "when": when} | part).encode() + b"\n"
+        self._passed_on()
 
-    def _take_pending(self) -> deque[tuple[str, PendingRun]]:
-        """Return what was logged since the last call, by run."""
-        with self._lock:
-            pending, self._pending = self._pending, {}
-        return deque(pending.items())
+    def _passed_on(self) -> bool:
+        """Append what was logged to the journal, and return whether all of it is there and has a writer."""
+        try:
+            if self._folder is None:
+                self._folder = tempfile.TemporaryDirectory(prefix="torchmbd-")
+            with open(Path(self._folder.name) / JOURNAL, "ab", buffering=0) as journal:
+                while self._lines:
+                    self._lines = self._lines[journal.write(self._lines) :]
+            if not self._has_writer():
+                self._start_writer(self._folder.name)
+        except OSError as error:  # a full disk, or too many processes
+            self._fault = f"the journal of the runs: {error.strerror}"
+            return False
+        self._fault = None
+        return True
 
-    def _deliver(self) -> None:
-        """Write pending runs to the store until the tracker is closed: the loop of the thread."""
-        pending: deque[tuple[str, PendingRun]] = deque()
-        while True:
-            closing = self._closing.is_set()
-            pending = pending or self._take_pending()
-            try:
-                self._store.opened()
-                began = self._store.processor_time()  # without the time to create the store
-                while pending:
-                    self._store.write(*pending[0])
-                    pending.popleft()
-                    if closing and not pending:
-                        pending = self._take_pending()
-            except Exception as error:  # of MLflow, the database or the network: tried again
-                self.trouble = f"the store {self.uri!r} does not take the runs: {self.uri.hide(first_line(error))}"
-                if closing and time.monotonic() > self._deadline:
-                    return
-                pause = _RETRY
-            else:
-                self.trouble = None
-                if closing:
-                    return
-                pause = max(_INTERVAL, (self._store.processor_time() - began) / _SHARE)
-            if closing:
-                time.sleep(_LAST_RETRY)
-            else:
-                self._closing.wait(pause)
+    def _has_writer(self) -> bool:
+        if self._process is not None:
+            return self._process.poll() is None
+        return self._thread is not None and self._thread.is_alive()
+
+    def _start_writer(self, folder: str) -> None:
+        arguments = self.experiment, self.uri.whole, self.study, process_tag(), folder
+        if self._process is None and "mlflow" in sys.modules:
+            self._writer = Writer(*arguments)
+            self._thread = threading.Thread(target=self._writer.run, name="mlflow", daemon=True)
+            self._thread.start()
+            return
+        # In a session of its own: Ctrl-C reaches the study alone, which then says what is to be written.
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _SERVE.format(path=sys.path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self._tell(arguments)
+
+    def _tell(self, message: Any) -> None:
+        """Send a line to the process of the writer; if it was killed, `_passed_on` starts another one."""
+        assert self._process is not None
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(json.dumps(message).encode() + b"\n")
+            self._process.stdin.flush()
+
+    def _await_end(self, deadline: float) -> None:
+        """Let the writer send the rest, and wait until it ends."""
+        if self._process is not None:
+            self._tell(deadline)
+            self._process.wait()
+        elif self._writer is not None and self._thread is not None:
+            self._writer.close(deadline)
+            self._thread.join()
 
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:

@@ -17,6 +17,7 @@ from torchmbd.design.response import Total
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.design.words import unit, words
 from torchmbd.errors import InputError
+from torchmbd.summary import plural
 from torchmbd.viz.animation import lane_labels
 from torchmbd.viz.figures import BAD, CYCLE, LINE, best_on_top, figure_of, over_time, titled, wrapped
 from torchmbd.viz.panels import SIGNS, display_unit, first_limits, full_name, panels_of, require_problem
@@ -132,7 +133,7 @@ def criteria_over_iterations(
     rows[-1].set_xlabel("iteration")
     rows[-1].locator_params(axis="x", integer=True)
     _legend(figure, rows)
-    return titled(figure, title or (f"{len(searches)} starts" if len(searches) > 1 else "1 start"))
+    return titled(figure, title or plural(len(searches), "start"))
 
 
 def weighted_parts(

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.process import imports
+from torchmbd.summary import plural
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +57,7 @@ def convergence(
         bottom.set_yticks([0.0])  # a scale would show rounding only
     bottom.set_xlabel("iteration")
     bottom.locator_params(axis="x", integer=True)
-    top.set_title(f"{len(objectives)} starts" if len(objectives) > 1 else "1 start", loc="left", fontsize=9)
+    top.set_title(plural(len(objectives), "start"), loc="left", fontsize=9)
     return figure
 
 

@@ -146,6 +146,11 @@ def test_a_fit_is_tracked_and_its_model_is_one_for_other_studies(folder, capsys)
 
     assert main(["run", "study.yaml"]) == 0
     assert "nothing is run again" in capsys.readouterr().out
+    assert main(["best", "study"]) == 0
+    said = capsys.readouterr().out
+    [row] = [line.split() for line in said.splitlines() if line.split()[:1] == ["drag.damping[0]"]]
+    assert float(row[2]) == pytest.approx(fitted["drag.damping"]["value"], rel=1e-4)
+    assert "mbd.Study" not in said  # no class of that name makes a fit
     page = write_report("study", folder / "report.html").read_text(encoding="utf-8")
     assert "drag.damping[0]" in page
     assert page.count("data:image/png") == 2

@@ -117,7 +117,8 @@ def test_a_combination_that_is_not_seen_is_named(compiled):
     fit = mbd.identify(mbd.Experiment(model, series, steps=pendulum.STEPS, duration=1.0), pendulum.UNKNOWNS)
     assert [x.words for x in fit.unseen] == ["bob.mass, spring.stiffness and spring.damping only up to a common factor"]
     assert np.isinf(fit.deviation).all()
-    assert "which the data cannot see" in repr(fit)
+    assert "the data cannot see it alone" in repr(fit)
+    assert fit.remarks == ["the data cannot see it alone"] * 3
     low, high = fit.profile("bob.mass")
     assert (low < 0.1, high) == (True, np.inf)
 

@@ -405,6 +405,35 @@ def test_steps_that_are_too_long_are_unresolved_with_phases_as_without():
     assert phased.status == plain.status
 
 
+def falling() -> mbd.System:
+    bob = mbd.RigidBody("bob", 1.0, (0.01, 0.01, 0.01), position=(0.0, 0.0, 1.0))
+    return mbd.System([bob], gravity=(0.0, 0.0, -10.0), free=["bob"])
+
+
+@pytest.mark.parametrize("steps", [10, 77])
+@pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda m: m.q[..., 2] - m.q[:, :1, 2] + 0.2,
+        lambda m: m.q[..., 2] - m.q[:, -1:, 2] - 0.2,
+        mbd.history(lambda m: m.q[..., 2] - m.q[..., 2].mean(1, True)) + 0.2,
+    ],
+)
+def test_an_event_of_other_times_than_its_own_is_refused(function, method, steps):
+    """Such a function has other values in every part of a motion that is looked at."""
+    phases = [mbd.Phase(until=mbd.Event(function)), mbd.Phase()]
+    with refused("function", function):
+        mbd.simulate(falling(), 1.0, method, steps, phases=phases)
+
+
+def test_an_event_of_a_displacement_since_the_start_is_refused():
+    for function in (mbd.Displacement("bob", "z") + 0.2, 2.0 * mbd.Displacement("bob", "z", seen_from="ground")):
+        with refused("function", function):
+            mbd.Event(function)
+    mbd.Event(mbd.Displacement("arm", "z", node="right"))  # elastic: a function of the state
+
+
 @pytest.mark.parametrize("speed", [0.625, 1.0, 1.25, 2.0, 4.0])
 def test_an_event_at_the_end_of_a_step_is_found(speed):
     """Where rounding leaves the function at -1e-16 after a step, the next one does not count it as the begin of a phase."""

@@ -483,6 +483,49 @@ def test_designs_of_one_batch_have_as_many_shapes_as_each_needs(first):
         free = mbd.Laminate(CARBON, design, 0.25e-3, symmetric=True).expansion(10.0, 0.0, 0.001)
         assert float(x) == pytest.approx(0.2 * float(free.strain[0]), rel=1e-6)
 
+    def shift(angles: Tensor) -> Tensor:
+        options: dict = {
+            "steps": 2,
+            "backend": "eager",
+            "start": "equilibrium",
+            "designs": {"strip.laminate.angles": angles},
+        }
+        return mbd.simulate(system, 1e-3, **options).body("strip").at("right").position[0, -1, 0] - 0.1
+
+    with warned("of its own in design 2 for a change of moisture:"):
+        assert_close(torch.func.vmap(shift)(angles), shifts, rtol=1e-9, atol=0)
+
+
+@pytest.mark.parametrize("first", [40.0, 45.0])
+def test_designs_that_lose_a_shape_are_told(first):
+    """At [45, -45] moisture has the shape of temperature, beside it not: its gradient there lacks a part. A metal has no such
+    design, motions without gradients need no warning, and a coefficient of zero is one."""
+    body = strip(mbd.Laminate(CARBON, mbd.deg([first, -first]), 0.25e-3, symmetric=True))
+    system = held(body, mbd.Temperature(body, 1.0, moisture=0.001))
+    options: dict = {"steps": 2, "backend": "eager", "start": "equilibrium", "diagnose": False}
+    angles = mbd.deg([[40.0, -40.0], [45.0, -45.0]])
+
+    def moved(angles: Tensor, name: str = "strip.laminate.angles", system: Any = system) -> Any:
+        return mbd.simulate(system, 1e-3, designs={name: angles}, **options).require_ok()
+
+    with warned("'strip' has no static shape of its own in design 1 for a change of moisture:"):
+        moved(angles.clone().requires_grad_())
+    with warned("of its own for a change of moisture:"):
+        moved(angles[1].clone().requires_grad_())
+    metal = mbd.Ply.isotropic(70e9, 0.3, 2700.0, alpha=23e-6, beta=0.1)
+    plate = strip(mbd.Laminate(metal, mbd.deg([45.0, -45.0]), 0.25e-3))
+    heated = held(plate, mbd.Temperature(plate, 1.0, moisture=0.001))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        moved(angles)
+        moved(angles[:1].clone().requires_grad_())
+        moved(angles[1:].clone().requires_grad_(), system=heated)
+    numbers = (0.3, 7850.0, AREA, I_Y, 16.0 * I_Y, 3.0 * I_Y)
+    rod = bar(mbd.GivenSection.isotropic(E, *numbers, alpha=mbd.variable(ALPHA)))
+    values = tensor(0.0, ALPHA).requires_grad_()
+    with warned("'bar' has no static shape of its own in design 0 for a change of temperature, gradient, gradient_y:"):
+        moved(values, "bar.section.alpha", held(rod, mbd.Temperature(rod, 30.0)))
+
 
 @pytest.mark.thorough
 def test_a_finer_mesh_and_more_modes_have_the_same_expansion():

@@ -71,6 +71,27 @@ def test_torques_on_both_sides():
     torch.testing.assert_close(motion.reaction("gear").torque[0, :, 2], on["first"], rtol=1e-12, atol=0)
 
 
+@pytest.mark.parametrize(
+    "ground", [mbd.Ground().at, lambda *at: mbd.Ground().at(*at)], ids=["one Ground", "a Ground each"]
+)
+def test_loads_of_a_coupling_are_in_equilibrium(ground):
+    """About one point, over all its bodies; the ground counts once, however often it is written."""
+    a = mbd.RigidBody("a", 2.0, (0.03, 0.03, 0.05))
+    b = mbd.RigidBody("b", 1.0, (0.03, 0.03, 0.05), position=(1.0, 0.0, 0.0))
+    joints: list = [
+        mbd.Revolute(ground(), a.at(), name="one"),
+        mbd.Revolute(ground(1.0, 0.0, 0.0), b.at(), name="two"),
+    ]
+    factor = mbd.variable(0.2)
+    gear = mbd.JointCoupling([joint.angle for joint in joints], [0.1, factor], name="gear")
+    motion = simulated(mbd.System([a, b], [*joints, gear], [mbd.Torque(a.at(), (0.0, 0.0, 1.0))]), 0.1, steps=5)
+    a_, b_, g = (mbd.Reaction("gear", "z", "torque", on=on)(motion)[0, -1] for on in ("a", "b", "ground"))
+    torch.testing.assert_close(b_, 2.0 * a_, rtol=1e-12, atol=0)
+    torch.testing.assert_close(g, -a_ - b_, rtol=1e-12, atol=0)
+    slopes = [torch.autograd.grad(x, factor, retain_graph=True)[0] for x in (a_, b_, g)]
+    torch.testing.assert_close(sum(slopes), torch.zeros_like(slopes[0]), rtol=0, atol=1e-10)
+
+
 @pytest.mark.thorough
 def test_methods_of_ordinary_differential_equations():
     motion = simulated(gear(), 0.7, "rk4", 70)
@@ -149,12 +170,16 @@ def test_a_motion_that_continues_another_knows_its_turns():
         assert math.remainder(turn, 2 * math.pi) == pytest.approx(0.0, abs=1e-10)
 
 
-@pytest.mark.thorough
-def test_a_clutch_opens():
+@pytest.mark.parametrize("backend", ["eager", pytest.param("native", marks=pytest.mark.extensions)])
+def test_a_clutch_opens(backend):
     """Released in a second phase: the first wheel gets its torque alone, the second keeps its speed."""
     phases = [mbd.Phase(until=0.8), mbd.Phase(release=["gear"])]
-    motion = simulated(gear(), 0.9, steps=36, phases=phases)
-    spins = [float(motion.body(name).omega[0, -1, 2]) for name in ("first", "second")]
+    ratio = mbd.variable(RATIO)
+    motion = simulated(gear(ratio), 0.9, steps=36, phases=phases, backend=backend)
+    slope = ACCELERATION * (1.0 - 2.0 * RATIO**2 * SECOND / (FIRST + RATIO**2 * SECOND))  # of RATIO x ACCELERATION
+    motion.body("second").omega[0, -1, 2].backward()
+    assert float(ratio.grad) == pytest.approx(-slope * 0.8, rel=1e-8)
+    spins = [motion.body(name).omega[0, -1, 2].item() for name in ("first", "second")]
     assert spins[1] == pytest.approx(-RATIO * ACCELERATION * 0.8, rel=1e-10)
     assert spins[0] == pytest.approx(ACCELERATION * 0.8 + TORQUE / FIRST * 0.1, rel=1e-10)
 
@@ -165,6 +190,24 @@ def test_frequency_of_a_geared_torsion_pendulum():
     system = mbd.System(system.bodies, system.joints, [spring])
     expected = math.sqrt(RATIO**2 * stiffness / (FIRST + RATIO**2 * SECOND)) / (2 * math.pi)
     assert system.describe().frequencies == pytest.approx([expected], rel=1e-10)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_planet_of_the_page_and_a_pin_with_its_frames_in_the_other_order(turned):
+    """s (w_sun - w_carrier) + p (w_planet - w_carrier) = 0; the angle of a pin from planet to carrier has the other sign."""
+    s, p, speeds = 0.06, 0.03, {"sun": 0.5, "carrier": 1.2}
+    ground, frames = mbd.Ground(), mbd.Ground().at()
+    sun, carrier = (mbd.RigidBody(name, 1.0, (*ABOUT_Z, FIRST)) for name in speeds)
+    planet = mbd.RigidBody("planet", 0.5, (*ABOUT_Z, FIRST), position=(s + p, 0, 0))
+    hinges = [mbd.Revolute(frames, x.at(), name=f"of_{x.name}") for x in (sun, carrier)]
+    ends = carrier.at(s + p, 0, 0), planet.at()
+    pin = mbd.Revolute(*(ends[::-1] if turned else ends), name="pin")
+    factor = -p if turned else p
+    mesh = mbd.JointCoupling([hinges[0].angle, hinges[1].angle, pin.angle], [s, -s, factor])
+    drives = [mbd.Drive(ground, x, axis="z", speed=speeds[x.name]) for x in (sun, carrier)]
+    motion = simulated(mbd.System([sun, carrier, planet], [*hinges, pin, mesh, *drives]), 0.2, steps=4)
+    expected = speeds["carrier"] - s * (speeds["sun"] - speeds["carrier"]) / p
+    assert motion.body("planet").omega[0, -1, 2].item() == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.thorough

@@ -44,7 +44,6 @@ def heard(tmp_path):
     journal = Journal(
         cast(Any, SimpleNamespace(columns=columns, sign=1.0, feasibility=1e-6)), cast(Any, Heard()), tmp_path
     )
-    journal._open = [PARENT, child(0)]
     return journal, cast(Any, journal.tracker)
 
 

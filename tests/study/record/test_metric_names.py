@@ -22,13 +22,13 @@ def test_constraints_have_the_names_of_their_responses():
         "constraint/max of strain energy of arm no 2",
         "constraint/at peaks of strain energy of arm 1",
         "constraint/at peaks of strain energy of arm 2",
-        "constraint/mass",
+        "constraint/mass of all bodies",
     ]
 
 
 def test_rows_of_a_min_max_problem_come_first():
     asked = problem(mbd.Mass() <= 1.0, minimize=mbd.AtPeaks(ENERGY, count=2))
-    assert constraint_names(asked, 3) == ["constraint/peak 1", "constraint/peak 2", "constraint/mass"]
+    assert constraint_names(asked, 3) == ["constraint/peak 1", "constraint/peak 2", "constraint/mass of all bodies"]
 
 
 def test_what_is_not_known_is_numbered():
@@ -55,12 +55,12 @@ def test_constraints_of_scenarios_name_the_scenario():
     assert [without_group(name) for name in constraint_names(worst, 8)] == [
         "max of strain energy of arm in thin",
         "max of strain energy of arm in thick",
-        "mass in thin",
-        "mass in thick",
+        "mass of all bodies in thin",
+        "mass of all bodies in thick",
         "at peaks of strain energy of arm in thin 1",
         "at peaks of strain energy of arm in thin 2",
         "at peaks of strain energy of arm in thick 1",
         "at peaks of strain energy of arm in thick 2",
     ]
     mean = criterion_metrics(mbd.Max(ENERGY), mbd.Mass() <= 1.0, objective="mean", constraints="worst")
-    assert [without_group(name) for name in constraint_names(mean, 1)] == ["mass"]
+    assert [without_group(name) for name in constraint_names(mean, 1)] == ["mass of all bodies"]

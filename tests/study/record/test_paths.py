@@ -152,7 +152,7 @@ def replace(file: Path, old: str, new: str) -> None:
 class Silent:
     """A tracker that hears nothing."""
 
-    trouble, uri = None, StoreURI("http://127.0.0.1")
+    trouble, uri, seconds = None, StoreURI("http://127.0.0.1"), 0.0
 
     def __getattr__(self, name):
         return lambda *arguments, **options: None

@@ -55,7 +55,7 @@ def run(file: Path, tracker=None) -> str:
 class Silent:
     """A tracker that hears nothing."""
 
-    trouble, uri = None, StoreURI("http://127.0.0.1")
+    trouble, uri, seconds = None, StoreURI("http://127.0.0.1"), 0.0
 
     def __getattr__(self, name):
         return lambda *arguments, **options: None
@@ -203,7 +203,7 @@ def _below(study: int) -> dict[int, str]:
     with contextlib.suppress(psutil.NoSuchProcess):
         for process in psutil.Process(study).children(recursive=True):
             with contextlib.suppress(psutil.NoSuchProcess):
-                result[process.pid] = "store" if "store_process" in " ".join(process.cmdline()) else "worker"
+                result[process.pid] = "store" if "tracking.writer" in " ".join(process.cmdline()) else "worker"
     return result
 
 

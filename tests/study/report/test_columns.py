@@ -106,3 +106,15 @@ def test_a_design_of_several_units_names_its_numbers():
     assert result.names == ("radius_mm", "angle_1_deg")
     assert result.sentence(np.array([0.012, np.pi / 6])) == "radius 12 mm, angle 1 30 deg"
     assert result.sentence(np.array([0.012])) == "12 mm"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "names"),
+    [
+        (["push.x", "push.y"], ("push_x", "push_y")),
+        (["push.x", "push.y", "pull.x"], ("push_x", "push_y", "pull_x")),  # not y alone
+        (["rod.width", "rod.height", "arm.width"], ("rod_width", "rod_height", "arm_width")),
+    ],
+)
+def test_parameters_of_one_part_have_names_of_one_form(parameters, names):
+    assert columns(**{name.replace(".", "__"): () for name in parameters}).names == names

@@ -32,7 +32,7 @@ from torchmbd.extensions.identification.statistics import (
 from torchmbd.extensions.identification.step_error import StepError, sentence
 from torchmbd.extensions.identification.unseen import Unseen, singular_values, unseen_combinations, unseen_count
 from torchmbd.optimization.optimizer import require_range
-from torchmbd.summary import Summary, few
+from torchmbd.summary import Summary, few, plural
 
 _CORRELATED = 0.9
 _SELDOM_NEGATIVE = (
@@ -264,6 +264,21 @@ class Identification(Summary):
         return [name for name, is_there in zip(self.names, at, strict=True) if is_there]
 
     @property
+    def remarks(self) -> list[str]:
+        """Remark on each unknown [n]: at a bound, or why a converged fit has no interval for it; "" for others."""
+        parts = {name: x.names for x in self.unseen for name in x.names} if self.converged else {}
+        result = []
+        for name, half in zip(self.names, self.half_width, strict=True):
+            remark = "at a bound" if name in self.at_bounds else ""
+            if self.converged and np.isinf(half):
+                unseen = "the data hardly see it" if not self._unknown_noise else "the noise is unknown"
+                if name in parts:
+                    unseen = "the data cannot see it" + " alone" * (len(parts[name]) > 1)
+                remark = f"{unseen}, {remark}" if remark else unseen
+            result.append(remark)
+        return result
+
+    @property
     def channels(self) -> list[ChannelFit]:
         """How model and data agree in every channel."""
         return channel_fits(self.problem, self.residuals)
@@ -407,7 +422,7 @@ class Identification(Summary):
             ("status", f"{self.status}: {self.message}"),
             (
                 "work",
-                f"{self.evaluations} simulations with Jacobians, {self.failures} failed, {len(self.starts)} starts",
+                f"{self.evaluations} simulations with Jacobians, {self.failures} failed, {plural(len(self.starts), 'start')}",
             ),
         ]
         if self.fit.residuals.jacobian is None:
@@ -418,17 +433,13 @@ class Identification(Summary):
                 *((name, f"{value:.6g}") for name, value in zip(self.names, self.x, strict=True)),
                 *self._agreements,
             ]
-        columns = zip(self.names, self.x, self.deviation, self.half_width, strict=True)
-        for name, value, deviation, half in columns:
-            if not deviation:
+        columns = zip(self.names, self.x, self.half_width, self.remarks, strict=True)
+        for k, (name, value, half, remark) in enumerate(columns):
+            if k not in self.searched:
                 rows.append((name, f"{value:.6g}, its bounds"))
                 continue
-            text = (
-                f"{value:.6g} +- {half:.2g} (95 %)"
-                if np.isfinite(deviation)
-                else f"{value:.6g}, which the data cannot see"
-            )
-            rows.append((name, text + " at a bound" * (name in self.at_bounds)))
+            text = f"{value:.6g} +- {half:.2g} (95 %)" if np.isfinite(half) else f"{value:.6g}"
+            rows.append((name, f"{text}, {remark}" if remark else text))
         rows += [("the data see", x.words) for x in self.unseen]
         return rows + self._agreements
 

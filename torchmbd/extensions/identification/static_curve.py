@@ -17,8 +17,6 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.design.differentiate import differentiate
-from torchmbd.design.histories import Displacement
-from torchmbd.design.response import Combined, History
 from torchmbd.errors import InputError, nearest, within
 from torchmbd.extensions.identification.channel import Channel, channels_of
 from torchmbd.extensions.identification.measurement import Block, Measurement, Prediction, number_of
@@ -157,14 +155,7 @@ def _check_channel(name: str, channel: Channel, present: np.ndarray) -> None:
     if isinstance(channel.deviation, np.ndarray) and len(channel.deviation) != len(present):
         rule = f"has {len(channel.deviation)} values; allowed: {len(present)}"
         raise InputError((*path, "deviation"), channel.deviation, rule=rule, noun=f"deviation of {noun}", shown="")
-    if _counts_from_start(channel.response):
+    if channel.response.since_start:
         allowed = "mbd.Position, with an offset, or the displacement of a node seen from its own body"
         shown = "a displacement since the start, which a state at rest has not"
         raise InputError(path, channel.response, allowed, noun=noun, shown=shown)
-
-
-def _counts_from_start(response: History) -> bool:
-    """True if a response, or a part of it, is a change since the start of a motion."""
-    if isinstance(response, Combined):
-        return any(_counts_from_start(part) for part in response.parts if isinstance(part, History))
-    return isinstance(response, Displacement) and (response.node is None or response.observer != response.body)

@@ -41,6 +41,7 @@ from torchmbd.study.record.paths import evaluations_file, file_key, numbers_key
 from torchmbd.study.record.run_record import RunRecord
 from torchmbd.study.record.runs import PARENT, Runs, child
 from torchmbd.study.report.progress import print_table, table_of
+from torchmbd.summary import plural
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import TABLES
 from torchmbd.tracking.provenance import version_of
@@ -82,24 +83,16 @@ def run_identification(
             return code
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         fit = _Fit(plan, record.tracker, folder, console, stack, fresh, offline)
-        status: Status = "FAILED"
-        try:
-            fit.begin(
-                plan.name,
-                plan.data.resolved(),
-                {"kind": KIND, TABLES: json.dumps(_TABLES)},
-                *origin,
-                plan.source.question,
-            )
-            status = fit.fit()
-        except KeyboardInterrupt:
-            status = "KILLED"
-        finally:
-            fit.end_all(status)
-            record.close(next((x.trouble for x in fit.stores if x.trouble), None))
+
+        def run() -> Status:
+            tags = {"kind": KIND, TABLES: json.dumps(_TABLES)}
+            fit.begin(plan.name, plan.data.resolved(), tags, *origin, plan.source.question)
+            return fit.fit()
+
+        record.carry_out(run, lambda: next((x.trouble for x in fit.stores if x.trouble), None))
         hits, computed = fit.counts["hits"], fit.counts["computed"]
         known = f", {hits} of {hits + computed} evaluations known" if hits else ""
-        return record.tell_outcome(status, known)
+        return record.tell_outcome(known)
 
 
 class _Fit(Runs):
@@ -119,6 +112,7 @@ class _Fit(Runs):
         self.plan, self.console, self.stack, self.fresh, self.offline = plan, console, stack, fresh, offline
         self.counts = {"hits": 0, "computed": 0}
         self.stores: list[Evaluations] = []
+        self.begun: set[str] = set()  # starts with a run
 
     def fit(self) -> Status:
         """Fit, print and file the result."""
@@ -126,7 +120,7 @@ class _Fit(Runs):
         count = 1 if starts is None else getattr(starts, "count", None) or len(starts)
         self.console.print(
             f"{escape(plan.name)}: {len(plan.problem.names)} unknowns, {plan.problem.data} measured numbers, "
-            f"{count} start{'s' if count > 1 else ''}",
+            f"{plural(count, 'start')}",
             soft_wrap=True,
         )
         result = identify(
@@ -180,7 +174,8 @@ class _Fit(Runs):
     def _step(self, step: FitStep) -> None:
         """File a design that lowered the cost, in the run of its start."""
         run = child(step.start)
-        if run not in self._open:
+        if run not in self.begun:
+            self.begun.add(run)
             self.begin_child(step.start, "start")
         self.tracker.metrics(run, {"cost": step.cost, "evaluations": float(step.evaluations)}, step.iteration)
         if not self.console.is_terminal:
@@ -201,12 +196,11 @@ class _Fit(Runs):
         """Print unknowns with their intervals, in the units of the file, and what else the fit says."""
         if result.fit.residuals.jacobian is not None:
             table = table_of(f"{self.plan.name}: {result.status}", ["unknown", "start", "value", "+- (95 %)", "remark"])
-            half = result.half_width
-            for k, name in enumerate(result.names):
+            half = result.half_width if result.converged else np.full(len(result.x), np.nan)
+            for k, (name, remark) in enumerate(zip(result.names, result.remarks, strict=True)):
                 x, first, width = (y[k] / self.plan.factor(name) for y in (result.x, result.start, half))
-                seen = f"{width:.2g}" if np.isfinite(width) else "-"
-                remark = "at a bound" if name in result.at_bounds else "" if seen != "-" else "the data cannot see it"
-                table.add_row(escape(self._heading(name)), f"{first:.6g}", f"{x:.6g}", seen, remark)
+                interval = f"{width:.2g}" if np.isfinite(width) else "-"
+                table.add_row(escape(self._heading(name)), f"{first:.6g}", f"{x:.6g}", interval, remark)
             print_table(table, self.console)
         rows = [(label, text) for label, text in result._summary() if label not in result.names]
         for label, text in rows:

@@ -119,7 +119,7 @@ class Mechanism:
             tables["beam_groups"] = [b if b < n else 2 * n for b in on] + [min(n + b, 2 * n) for b in on]
         if T.turns is not None:
             tables |= {"turns_first": T.turns.first, "turns_second": T.turns.second}
-            tables["turns"] = torch.cat([index for p in T.primitives for index in p.turns])
+            tables["turns"] = [i for p in T.primitives for index in p.turns for i in index.tolist()]
         for name, sparse in (("spread", T.spread), ("gather", T.gather)):
             if sparse is not None:
                 row, column = torch.nonzero(sparse.matrix, as_tuple=True)

@@ -91,8 +91,8 @@ def small_basis(T: Tensor, stiffness: Tensor, mass: Tensor) -> ModalBasis:
     Columns of T may be padding, of lanes with fewer modes; it is zero in the basis too. Padding has unit mass and a frequency
     above all others, so that its modes are the last ones of the small problem, alone.
     """
-    padding = untransformed((T.detach() == 0.0).all(-2))
-    if not bool(padding.any()):
+    padding = (T.detach() == 0.0).all(-2)  # of each member, also under torch.func.vmap
+    if not bool(untransformed(padding).any()):
         small = modal_basis(stiffness, mass, T.shape[-1])
         return ModalBasis(T @ small.vectors, small.stiffness)
     unit = torch.diag_embed(padding.to(T.dtype))

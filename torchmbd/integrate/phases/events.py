@@ -48,7 +48,8 @@ ROUNDING = 1e-9  # of the function after a step: what it is where a phase begins
 class Event:
     """The time when a function of the motion passes zero; it ends a phase.
 
-    function   motion -> [lanes, times], written with torch operations; or a history, such as Position("mass", "z")
+    function   motion -> [lanes, times], written with torch operations; or a history, such as Position("mass", "z"). The value
+               at a time depends on the state at this time alone: `simulate` looks at one instant, or at several
     direction  "falling", "rising" or "either"
 
     >>> turn = mbd.Event(mbd.Velocity("bob", "x"), "falling")  # the pendulum stops at its highest point
@@ -69,6 +70,8 @@ class Event:
                 "a function motion -> [lanes, times] or a history",
                 noun="function of an event",
             )
+        if getattr(self.function, "since_start", False):
+            raise self._not_of_an_instant("is a change since the start of the motion")
         refuse_lost_gradients("function of an event", self.function, "constant tensors")
         if not isinstance(self.direction, str) or self.direction not in DIRECTIONS:
             raise InputError("direction", self.direction, ", ".join(DIRECTIONS), noun="direction of an event")
@@ -86,6 +89,22 @@ class Event:
                 noun="the function of an event",
             )
         return g
+
+    def _not_of_an_instant(self, state: str) -> InputError:
+        return InputError(
+            "function",
+            self.function,
+            "a function of the state at each time",
+            "mbd.Position(...) minus a number in place of a displacement since the start",
+            state=state,
+            noun="the function of an event",
+        )
+
+    def require_instants(self, in_motion: Tensor, alone: Tensor) -> None:
+        """InputError if values of states in a motion are others than those of each state without this motion."""
+        size = torch.maximum(in_motion.abs(), alone.abs())
+        if bool(((in_motion - alone).abs() > ROUNDING * size).any()):
+            raise self._not_of_an_instant("has values that depend on other times")
 
     def at_once(self, motion: Trajectory) -> Tensor:
         """The function [1, lanes] of a motion of one time."""

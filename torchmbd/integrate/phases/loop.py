@@ -84,6 +84,7 @@ class _PhaseLoop:
         self.lanes = len(self.alive)
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
         self.event = self.segment.phase.until if isinstance(self.segment.phase.until, Event) else None
+        self.is_of_instants = False  # not known yet whether the event's function is
         on_grid = torch.tensor([self._on_grid(lane, int(k)) for lane, k in enumerate(self.first)])
         self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, start_of_steps, self.first, on_grid)
         self.search = None
@@ -207,7 +208,26 @@ class _PhaseLoop:
     def _event_values(self, first: int, states: History) -> Tensor:
         """The event's function [lanes, points] of condensed states at the point `first` of the grid and those after it."""
         assert self.event is not None
-        times, dynamics = self.times[first : first + len(states.q)], self.dynamics.values()
+        times = self.times[first : first + len(states.q)]
+        if not self.is_of_instants and len(times) > 1:
+            self._require_instants(times, states)
+        return self._function_values(times, states)
+
+    def _require_instants(self, times: Tensor, states: History) -> None:
+        """InputError if the event's function of the first or last of these states depends on the other one."""
+        assert self.event is not None
+        last = len(times) - 1
+        g, of_first, of_last = (
+            self._function_values(times[k], History(states.q[k], states.v[k], states.vd[k], states.lam[k]))
+            for k in (torch.tensor(pair) for pair in ([0, last], [0, 0], [last, last]))
+        )
+        self.event.require_instants(g, torch.stack([of_first[:, 0], of_last[:, 1]], 1))
+        self.is_of_instants = bool((states.q[0] != states.q[last]).any())  # else both are one state
+
+    def _function_values(self, times: Tensor, states: History) -> Tensor:
+        """The event's function [lanes, points] of condensed states at these times."""
+        assert self.event is not None
+        dynamics = self.dynamics.values()
         q, v, vd, lam = (x[:, :, :1] for x in states.states)
         history = History(q, v, vd, lam, times=times)
         if self.record.condensation is not None:

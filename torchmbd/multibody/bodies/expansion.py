@@ -10,6 +10,8 @@ body with `expansion` retains U = K^-1 F of each change as well (fem/reduction/s
 a steady change is exact for the mesh of a body that is held at its reference alone. A reference of several nodes is a
 clamp, so a body that is free to expand has one node as reference. A body that joints hold elsewhere needs these nodes as
 interface of the reduction "craig-bampton".
+Shapes that coincide or vanish in one design, and not in its neighbors, are a warning: there a gradient lacks the part that
+the lost shape would have.
 Differentiable, forward and reverse, in everything that the laminates depend on, with lanes.
 Checked in tests/multibody/forces/test_temperature.py.
 """
@@ -20,15 +22,18 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError, one_of, unknown, warn, within
 from torchmbd.fem.elements import Assembly, ExpandingPart, Part
 from torchmbd.fem.elements.geometric import projected_geometric_stiffness
 from torchmbd.fem.reduction import StaticLoads, StaticShapes
-from torchmbd.math.module_call import outside_transforms
+from torchmbd.fem.reduction.static_shapes import INDEPENDENT
+from torchmbd.math.gradients import is_differentiated, untransformed
+from torchmbd.math.module_call import outside_transforms, run_with_parameters
 
+_NEAR = 1e-2  # relative change of parameters, and of angles [rad], to a design near by
 Load = tuple[str | None, str]  # zone, None for the whole body, and kind of change
 Zones = bool | str | Sequence[str | bool]
 
@@ -44,6 +49,9 @@ class Expansion:
     def __init__(self, name: str, parts: Mapping[str, Part], assembly: Assembly) -> None:
         self.name, self.parts, self.assembly = name, dict(parts), assembly
         self.loads: list[Load] = []  # of the static shapes
+        self._independent = torch.zeros(
+            0, dtype=torch.bool
+        )  # of each, whether it differs from those before in designs nearby
 
     def expanding(self, zone: str | None) -> dict[str, ExpandingPart]:
         """The parts of a zone that can expand; InputError for a zone that is not there, or does not expand."""
@@ -110,10 +118,46 @@ class Expansion:
         return outside_transforms(lambda: StaticLoads(self.assembly.pattern))
 
     def free_forces(self) -> Float[Tensor, "*lanes N loads"]:
-        """Loads on the free degrees of freedom of all static shapes."""
+        """Loads on the free degrees of freedom of all static shapes; a warning where shapes coincide in one design alone."""
+        F = self._load_columns()
+        if is_differentiated(F):
+            self._warn_of_lost_shapes(_independent(untransformed(F)))
+        return F
+
+    def _load_columns(self) -> Float[Tensor, "*lanes N loads"]:
         columns = [self.forces(*load)[..., None] for load in self.loads]
         lanes = torch.broadcast_shapes(*(x.shape for x in columns))
         return self.assembly.freedoms.gathered(torch.cat([x.expand(lanes) for x in columns], -1))
+
+    def _warn_of_lost_shapes(self, independent: Bool[Tensor, "*lanes loads"]) -> None:
+        """Warn of designs in which a shape vanishes or is that of others, if it is not so in designs near by."""
+        lost = (self._independent & ~independent).reshape(-1, len(self.loads))
+        lanes = lost.any(-1).nonzero()[:, 0].tolist()
+        if lanes:
+            where = f"in design {lanes[0]} " if len(lost) > 1 else ""
+            loads = ", ".join(
+                change + (f" of {zone!r}" if zone else "")
+                for (zone, change), x in zip(self.loads, lost[lanes[0]].tolist(), strict=True)
+                if x
+            )
+            warn(
+                f"body {self.name!r} has no static shape of its own {where}for a change of {loads}: the shape vanishes or is "
+                "that of other changes, but not so in designs near by. Gradients of displacements by this change are "
+                "incomplete there. Try: slightly different angles or coefficients"
+            )
+
+    def _independent_nearby(self) -> Bool[Tensor, " loads"]:
+        """Whether each load differs from those before it where all parameters of the parts are a little different."""
+        owners = nn.ModuleDict(
+            {f"{key}_{name}": module for key, part in self.parts.items() for name, module in part.modules().items()}
+        )
+        near = {}
+        for name, x in owners.named_parameters():
+            steps = torch.linspace(1.0, 2.0, x.numel(), dtype=x.dtype).reshape(x.shape)
+            near[name] = x.detach() + _NEAR * steps * (1.0 if name.endswith("angles") else x.detach())
+        with torch.no_grad():
+            F = run_with_parameters(owners, near, self._load_columns)
+        return _independent(F)
 
     def shapes(self, zones: Zones) -> StaticShapes | None:
         """The static shapes of zones: True: the whole body as one; False: none. Changes without coefficients have none."""
@@ -136,4 +180,14 @@ class Expansion:
         if not self.loads:
             noun = f"expansion of {self.name!r}:"
             raise InputError((self.name, "expansion"), zones, rule=str(refused[0]), noun=noun, shown="")
+        self._independent = self._independent_nearby()
         return StaticShapes(self.assembly.pattern, self.free_forces, len(self.loads))
+
+
+def _independent(F: Float[Tensor, "*lanes N loads"]) -> Bool[Tensor, "*lanes loads"]:
+    """Whether each column is no combination of those before it."""
+    sizes = F.norm(dim=-2, keepdim=True)
+    unit = torch.linalg.qr(F / torch.where(sizes > 0.0, sizes, 1.0), mode="r").R
+    first = [torch.zeros_like(sizes[..., 0, 0], dtype=torch.long)]
+    ranks = [(torch.linalg.svdvals(unit[..., : k + 1]) > INDEPENDENT).sum(-1) for k in range(F.shape[-1])]
+    return torch.stack([*first, *ranks], -1).diff(dim=-1) > 0

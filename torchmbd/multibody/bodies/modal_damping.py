@@ -63,7 +63,7 @@ class ModalDamping(nn.Module):
                 path,
                 value,
                 allowed,
-                shown=f"{value!r} {unit}",
+                shown=f"{value!r} {unit}".rstrip(),
             )
         return x if is_variable(x) else value
 

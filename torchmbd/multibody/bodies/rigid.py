@@ -10,7 +10,7 @@ Checked in tests/multibody/bodies/test_rigid.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -57,6 +57,11 @@ class Ground:
         turn      rotation vector of the triad, in its own axes [rad], of numbers or variables: "hinge_a.turn_x"
         """
         return frame_at(self, (x, y, z), axes, turn)
+
+
+def same_body(a: Any, b: Any) -> bool:
+    """True if two frames with these bodies are on one body: every `Ground()` is the same."""
+    return a is b or (isinstance(a, Ground) and isinstance(b, Ground))
 
 
 @keyword_hints

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 from torchmbd.errors import InputError
 from torchmbd.multibody.bodies.frame import Frame, axis_index
-from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.bodies.rigid import Ground, same_body
 from torchmbd.multibody.forces.action import Along, Push, Turn, Twist
 from torchmbd.multibody.joints.cylindrical import Cylindrical
 from torchmbd.multibody.joints.joint import AttachmentTable, JointCoordinate
@@ -149,7 +149,7 @@ class TorqueOn(Actuator):
     def __init__(self, a: Frame, b: Frame, axis: str = "z"):
         self.frames, self.axis = (_frame(self, a), _frame(self, b)), axis
         axis_index(axis)
-        if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
+        if same_body(a.body, b.body):
             raise InputError(
                 "b", b, "two different bodies", state=f"acts between {a!r} and {b!r}", noun=f"{type(self).__name__}"
             )

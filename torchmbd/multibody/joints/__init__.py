@@ -8,6 +8,7 @@ from torchmbd.multibody.joints.joint import Joint
 from torchmbd.multibody.joints.joint_coupling import JointCoupling
 from torchmbd.multibody.joints.laws import ConstantSpeed, Sine, SmoothStep
 from torchmbd.multibody.joints.planar import Planar
+from torchmbd.multibody.joints.point_on_curve import PointOnCurve
 from torchmbd.multibody.joints.point_on_plane import PointOnPlane
 from torchmbd.multibody.joints.prismatic import Prismatic
 from torchmbd.multibody.joints.revolute import Revolute
@@ -17,8 +18,8 @@ from torchmbd.multibody.joints.universal import Universal
 JOINTS: dict[str, type[Joint]] = {
     kind.__name__.lower(): kind
     for kind in (
-        *(Cylindrical, Distance, Drive, Fixed, JointCoupling, Planar, PointOnPlane, Prismatic, Revolute, Spherical),
-        Universal,
+        *(Cylindrical, Distance, Drive, Fixed, JointCoupling, Planar, PointOnCurve, PointOnPlane, Prismatic, Revolute),
+        *(Spherical, Universal),
     )
 }
 
@@ -32,6 +33,7 @@ __all__ = [
     "Joint",
     "JointCoupling",
     "Planar",
+    "PointOnCurve",
     "PointOnPlane",
     "Prismatic",
     "Revolute",

@@ -25,7 +25,7 @@ from torchmbd.fem.elements.beam_line import varying_nodes
 from torchmbd.math.variable import Numbers, ParameterVector
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
-from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.bodies.rigid import same_body
 from torchmbd.multibody.bodies.stiffening import turned_arm
 
 _LEAST_ARM = 0.1  # rad, as that of `common_axis`: deformations of a body turn its axes by less
@@ -233,7 +233,7 @@ class Joint:
         for key, frame in (("a", a), ("b", b)):
             if not isinstance(frame, Frame):
                 raise InputError(key, frame, "frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
-        if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
+        if same_body(a.body, b.body):
             raise InputError("b", b, "frames on two different bodies", state=f"joins {a!r} with {b!r}", noun=kind)
         if name is not None and not isinstance(name, str):
             raise InputError("name", name, "a string", noun=f"name of a {kind}")

@@ -21,6 +21,7 @@ from torchmbd.errors import InputError, keyword_hints, one_of, unknown
 from torchmbd.math.checked_numbers import list_of, positive
 from torchmbd.math.gradients import refuse_derivatives
 from torchmbd.math.module_call import call_module, exclusive, outside_transforms
+from torchmbd.math.plausible_units import warn_gravity
 from torchmbd.math.variable import law_key
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.flexible_beam import BeamNode, FlexibleBeam
@@ -133,6 +134,8 @@ class System(nn.Module):
                 )
         self.bodies = bodies
         register(self, "gravity", None if gravity is None else vector_or_parameter("gravity", gravity))
+        if self.gravity is not None:
+            warn_gravity(self.gravity)
         self.stabilization = positive("stabilization", stabilization, "s")
         self.truncation = None if truncation is None else positive("truncation", truncation, "")
         self.forces = forces

@@ -53,7 +53,7 @@ from torchmbd.optimization.optimizer import (
 from torchmbd.optimization.search import EvaluateBatch, Report, Search, deadline_of, is_over
 from torchmbd.optimization.units import variable_scale
 from torchmbd.progress import shown
-from torchmbd.summary import Summary, few
+from torchmbd.summary import Summary, few, plural
 
 _ROUNDING = 1e-9  # of a value: differences that are none
 
@@ -170,7 +170,7 @@ class MultistartResult(Summary):
     def search_text(self) -> str:
         """How many searches converged, whether the best design is better than the first start, how many evaluations failed."""
         best, many = self.best, len(self.results)
-        ending = f"{self.converged} of {many} starts converged"
+        ending = f"{self.converged} of {plural(many, 'start')} converged"
         if best is not None and not best.converged:
             ending += f", the best did not ({best.status}: {best.message})"
         gain = self._no_best_text if best is None else gain_text(best, self._first)

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from torchmbd.errors import InputError, Path, dotted
+from torchmbd.summary import plural
 from torchmbd.tracking.uri import hidden
 
 _MOST = 20  # faults in a message
@@ -39,7 +40,7 @@ class StudyError(InputError):
     def __init__(self, source: str, faults: Iterable[Fault]) -> None:
         self.source = source
         self.faults = sorted(faults, key=lambda fault: (not isinstance(fault.where, int), str(fault.where).zfill(9)))
-        count = f"{len(self.faults)} error{'s' if len(self.faults) != 1 else ''}"
+        count = plural(len(self.faults), "error")
         lines = [_short(str(fault)) for fault in self.faults[:_MOST]]
         more = [f"... and {len(self.faults) - _MOST} more"] if len(self.faults) > _MOST else []
         super().__init__("\n  ".join([f"{source}: {count}", *lines, *more]))

@@ -159,7 +159,7 @@ class Journal(Runs):
         self.status(result.start, result)
         self.tracker.tags(run, {"method": result.method, "best": "false"})
         ended: dict[str, Status] = {"failed": "FAILED", "interrupted": "KILLED"}
-        self.end(run, ended.get(result.status, "FINISHED"))
+        self.tracker.end(run, ended.get(result.status, "FINISHED"))
 
     def status(self, index: int, result: OptimizationResult) -> None:
         """Tag a child with how its search ended; its description has it for the table."""

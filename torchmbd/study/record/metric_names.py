@@ -57,6 +57,14 @@ def number_text(metric: str, value: float) -> str:
     return f"{value:z.2f}" if metric.endswith(("_deg", "_percent")) else f"{value:.6g}"
 
 
+def cell_text(cell: str) -> str:
+    """Return a number of a stored table to five digits; other text as it is."""
+    try:
+        return f"{float(cell):.5g}"
+    except ValueError:
+        return cell
+
+
 def constraint_names(problem: Any, count: int) -> list[str]:
     """Return the names of the metrics of the constraint rows; numbers where the problem has no names for them."""
     names = [legal_key(name) for name in getattr(problem, "row_names", ())]

@@ -7,7 +7,6 @@ Checked in tests/study/test_run.py, test_resume.py, test_figures.py.
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
@@ -52,7 +51,8 @@ class RunRecord:
     ) -> None:
         self.name, self.kind, self.console, self.state, self.store = name, kind, console, state, store
         self.stored: Record | None = None  # the runs in the store, when all are there
-        self._make, self._began = make, time.monotonic()
+        self.status: Status = "FAILED"
+        self._make = make
 
     @classmethod
     @contextmanager
@@ -119,11 +119,22 @@ class RunRecord:
         say(f"its designs: {designs.format(run=entry.run_id[:8])}; to run it anew: {again}")
         return UNVERIFIED if verified.startswith((NOT_VERIFIED, MANY_FAILURES)) else EXIT["FINISHED"]
 
-    def close(self, trouble: str | None = None) -> None:
-        """Wait until everything is in the store, and note it; a message if the tracker gives up.
+    def carry_out(self, run: Callable[[], Status], trouble: Callable[[], str | None] = lambda: None) -> None:
+        """Call `run`, and bring its runs to an end in the store, however it ends; `status` says how.
 
-        trouble  why the last evaluations are not on disk, None if they are
+        run      the study: it returns how it ended; Ctrl-C ends it as KILLED, another exception, which is raised, as FAILED
+        trouble  returns why the last evaluations are not on disk, None if they are
         """
+        try:
+            self.status = run()
+        except KeyboardInterrupt:
+            self.status = "KILLED"
+        finally:
+            self.tracker.end_all(self.status)
+            self._close(trouble())
+
+    def _close(self, trouble: str | None) -> None:
+        """Wait until everything is in the store, and note it; a message if the tracker gives up."""
         say = partial(self.console.print, style="red", soft_wrap=True)
         try:
             with self.console.status("writing the last of it to MLflow"):
@@ -141,14 +152,15 @@ class RunRecord:
             else:  # no run has begun
                 self.state.forget()
 
-    def tell_outcome(self, status: Status, known: str = "", **options: Any) -> int:
+    def tell_outcome(self, known: str = "", **options: Any) -> int:
         """Print how the study ended and where its run is, update its state on disk, and return the exit code.
 
         known    of its evaluations, in words
         options  of the command that goes on with it
         """
-        seconds = time.monotonic() - self._began
-        self.console.print(f"{escape(self.name)}: {status.lower()} after {seconds:.1f} s{known}", soft_wrap=True)
+        status = self.status
+        after = f"{status.lower()} after {self.tracker.seconds:.1f} s{known}"
+        self.console.print(f"{escape(self.name)}: {after}", soft_wrap=True)
         if self.stored is None:
             return 1
         if self.run_id is not None:

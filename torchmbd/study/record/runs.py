@@ -13,7 +13,7 @@ import yaml
 
 from torchmbd.study.file.yaml_file import without_user
 from torchmbd.study.record.metric_names import legal_key
-from torchmbd.tracking import MlflowTracker, Status
+from torchmbd.tracking import MlflowTracker
 from torchmbd.tracking.provenance import provenance
 from torchmbd.tracking.store import relative_to_store
 from torchmbd.tracking.uri import hidden
@@ -22,7 +22,7 @@ PARENT = "study"
 
 
 class Runs:
-    """Opens and closes the runs of an experiment, and keeps their files.
+    """Opens the runs of an experiment, and keeps their files.
 
     folder   where files are written before the tracker takes them
     trouble  why a file could not be written
@@ -31,7 +31,6 @@ class Runs:
     def __init__(self, tracker: MlflowTracker, folder: Path) -> None:
         self.tracker, self.folder = tracker, folder
         self.trouble: str | None = None
-        self._open: list[str] = []
 
     def begin(
         self,
@@ -55,16 +54,14 @@ class Runs:
             origin["mlflow.source.name"] = relative_to_store(self.tracker.uri, file)
             origin |= {"overrides": hidden(" ".join(overrides))} if overrides else {}
         self.tracker.begin(PARENT, name, params=flat(resolved), tags=origin)
-        self._open = [PARENT]
         self.text("config.yaml", yaml.safe_dump(dict(resolved), sort_keys=False))
         if file is not None and file.is_file():
             self.text("config_as_given.yaml", without_user(file.read_text(encoding="utf-8")))
 
     def begin_child(self, index: int, kind: str, params: Mapping[str, object] = {}) -> None:
         """Open the child of a start or a point."""
-        run = child(index)
-        self.tracker.begin(run, f"{kind} {index}", parent=PARENT, params={kind: index, **params}, tags={"kind": kind})
-        self._open.append(run)
+        name = f"{kind} {index}"
+        self.tracker.begin(child(index), name, parent=PARENT, params={kind: index, **params}, tags={"kind": kind})
 
     def text(self, name: str, content: str) -> None:
         """Write a text file as an artifact; a full disk loses the file, not the study."""
@@ -78,15 +75,6 @@ class Runs:
     def file(self, path: Path, folder: str = "") -> None:
         """Make a file an artifact of the parent."""
         self.tracker.artifact(PARENT, path, folder)
-
-    def end(self, run: str, status: Status) -> None:
-        self.tracker.end(run, status)
-        self._open.remove(run)
-
-    def end_all(self, status: Status) -> None:
-        """Close every run that is open, children first."""
-        for run in reversed(list(self._open)):
-            self.end(run, status)
 
 
 def child(index: int) -> str:

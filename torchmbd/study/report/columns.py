@@ -97,17 +97,20 @@ class Columns:
 
 
 def _short_names(parameters: Sequence[str]) -> dict[str, str]:
-    """The last word of each parameter; with its first word, or with all words, as far as others have the same name."""
-    parts = {parameter: parameter.split(".") for parameter in parameters}
-    names: dict[str, str] = {}
-    for shorter in (lambda p: p[-1:], lambda p: [*p[:-1][:1], p[-1]], lambda p: p):
-        tried = {
-            parameter: "_".join([*(words := shorter(p))[:-1], _singular(words[-1])]) for parameter, p in parts.items()
-        }
-        counts = Counter([*tried.values(), *names.values()])
-        names |= {parameter: name for parameter, name in tried.items() if counts[name] == 1}
-        parts = {parameter: p for parameter, p in parts.items() if parameter not in names}
-    return names | {parameter: "_".join(p) for parameter, p in parts.items()}
+    """Return the shortest name of each parameter that no other has: its last word, its first and last word, or all words.
+
+    Parameters of one part have names of one form: push_x and push_y, not push_x and y. A last word of one letter, such as
+    that of a component, is not a name by itself.
+    """
+    words = {parameter: parameter.split(".") for parameter in parameters}
+    words = {parameter: [*parts[:-1], _singular(parts[-1])] for parameter, parts in words.items()}
+    count = Counter(parts[-1] for parts in words.values())
+    vague = {tuple(parts[:-1]) for parts in words.values() if count[parts[-1]] > 1 or len(parts[-1]) == 1}
+    names = {parameter: [*parts[:-1][: tuple(parts[:-1]) in vague], parts[-1]] for parameter, parts in words.items()}
+    count = Counter(map(tuple, names.values()))
+    return {
+        parameter: "_".join(name if count[tuple(name)] == 1 else words[parameter]) for parameter, name in names.items()
+    }
 
 
 def _singular(word: str) -> str:

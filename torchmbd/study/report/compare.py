@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from torchmbd.study.record.metric_names import (
     INCREASE,
     REDUCTION,
     STARTS,
+    cell_text,
     criterion_metrics,
     gain_metric,
     is_design,
@@ -25,9 +27,28 @@ from torchmbd.study.record.metric_names import (
     without_group,
 )
 from torchmbd.study.report.answers import comparison, print_answers, stored_verification
-from torchmbd.study.report.progress import CHANGE, change_cell, drop_order, print_table, violation_cell, wrapped_heading
-from torchmbd.tracking.catalog import ACTIVE, GOAL, MAXIMIZE, SEARCH_TEXT, VERIFICATION, Entry, children, find, studies
-from torchmbd.tracking.store import store_uri
+from torchmbd.study.report.progress import (
+    CHANGE,
+    change_cell,
+    drop_order,
+    print_table,
+    table_of,
+    violation_cell,
+    wrapped_heading,
+)
+from torchmbd.tracking.catalog import (
+    ACTIVE,
+    GOAL,
+    MAXIMIZE,
+    SEARCH_TEXT,
+    VERIFICATION,
+    Entry,
+    children,
+    find,
+    studies,
+    tables,
+)
+from torchmbd.tracking.store import own_files, store_uri
 from torchmbd.tracking.uri import hidden
 
 _OUTCOME = ("best_objective", REDUCTION, INCREASE, "violation", STARTS, CONVERGED, EVALUATIONS)
@@ -58,9 +79,19 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     if entry is None:
         console.print(f"No studies yet in {escape(str(store))}.", soft_wrap=True)
         return
+    with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
+        verified = stored_verification(store, entry, Path(scratch))
+        stored = tables(store, entry, Path(scratch))
+    title = f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}"
+    if stored:  # a fit: its answer is not a list of designs
+        _print_tables(title, stored, console)
+        files = own_files(store, entry.run_id)
+        place = f"artifacts of run {entry.run_id[:8]}" if files is None else os.path.relpath(files)
+        console.print(f"its files: {place}", highlight=False, markup=False, soft_wrap=True)
+        return
     best = [child for child in children(store, entry) if "objective" in child.metrics][:count]
     names = list(dict.fromkeys(name for child in best for name in child.metrics if is_design(name)))
-    table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
+    table = _table(title)
     sign = -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
     criteria = criterion_metrics((child.metrics for child in best), sign)
     titles = [CHANGE if name == gain_metric(sign) else metric_heading(name) for name in criteria]
@@ -80,8 +111,6 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
                 if name in child.metrics
             )
             console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
-    with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
-        verified = stored_verification(store, entry, Path(scratch))
     if verified is not None:
         print_answers(verified, console)
     for tag in (SEARCH_TEXT, ACTIVE):
@@ -99,6 +128,16 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
         markup=False,
         soft_wrap=True,
     )
+
+
+def _print_tables(title: str, stored: dict[str, list[list[str]]], console: Console) -> None:
+    """Print the tables that a run has stored."""
+    console.print(title, highlight=False, markup=False, soft_wrap=True)
+    for name, (headings, *rows) in stored.items():
+        table = table_of(name, [heading.replace("_", " ") for heading in headings])
+        for row in rows:
+            table.add_row(*(escape(cell_text(cell)) for cell in row))
+        print_table(table, console, drop_order(2, len(headings) - 2))
 
 
 def _cell(child: Entry, name: str, sign: float) -> str:

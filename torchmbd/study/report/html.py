@@ -8,8 +8,6 @@ Checked in tests/study/report/test_html.py.
 from __future__ import annotations
 
 import base64
-import csv
-import json
 import tempfile
 from html import escape
 from pathlib import Path
@@ -25,14 +23,15 @@ from torchmbd.study.record.metric_names import (
     ITERATIONS,
     REDUCTION,
     STARTS,
+    cell_text,
     criterion_metrics,
     is_design,
     metric_heading,
     number_text,
 )
 from torchmbd.study.report.answers import answers_page, stored_verification
-from torchmbd.summary import few
-from torchmbd.tracking.catalog import ACTIVE, SEARCH_TEXT, TABLES, Entry, children, fetch, files, find
+from torchmbd.summary import few, plural
+from torchmbd.tracking.catalog import ACTIVE, SEARCH_TEXT, Entry, children, fetch, files, find, tables
 from torchmbd.tracking.mlflow_tracker import FILES
 from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.uri import StoreURI, hidden
@@ -165,28 +164,17 @@ def _children(store: StoreURI, entry: Entry) -> str:
         cells.append(child.tags.get("status", child.status.lower()).replace("_", " "))
         best = ' class="best"' * (child.tags.get("best") == "true")
         rows.append(f"<tr{best}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
-    return f"<h2>{len(runs)} runs</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
+    return f"<h2>{plural(len(runs), 'run')}</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
 
 
 def _tables(store: StoreURI, entry: Entry, scratch: Path) -> list[str]:
     """Return the tables that the study says it has."""
     parts = []
-    for title, name in json.loads(entry.tags.get(TABLES, "{}")).items():
-        if file := fetch(store, entry, name, scratch):
-            with file.open(newline="", encoding="utf-8") as lines:
-                head, *rows = csv.reader(lines)
-            cells = "".join(f"<tr>{''.join(f'<td>{escape(_short(x))}</td>' for x in row)}</tr>" for row in rows)
-            heads = "".join(f"<th>{escape(x.replace('_', ' '))}</th>" for x in head)
-            parts += [f"<h2>{escape(title)}</h2>", f"<table><tr>{heads}</tr>{cells}</table>"]
+    for title, (head, *rows) in tables(store, entry, scratch).items():
+        cells = "".join(f"<tr>{''.join(f'<td>{escape(cell_text(x))}</td>' for x in row)}</tr>" for row in rows)
+        heads = "".join(f"<th>{escape(x.replace('_', ' '))}</th>" for x in head)
+        parts += [f"<h2>{escape(title)}</h2>", f"<table><tr>{heads}</tr>{cells}</table>"]
     return parts
-
-
-def _short(cell: str) -> str:
-    """A number of a file to five digits; other text as it is."""
-    try:
-        return f"{float(cell):.5g}"
-    except ValueError:
-        return cell
 
 
 def _pictures(store: StoreURI, entry: Entry, scratch: Path) -> list[str]:

@@ -21,6 +21,7 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
+from torchmbd.summary import plural
 from torchmbd.tracking.catalog import FEASIBLE
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class Beginning:
     def batch(self, number: int, designs: int) -> None:
         """Say that the first batch begins."""
         if number == 1:
-            self.stage(f"batch 1: {designs} design{'s' if designs > 1 else ''}")
+            self.stage(f"batch 1: {plural(designs, 'design')}")
 
 
 class Progress:

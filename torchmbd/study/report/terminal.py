@@ -21,7 +21,7 @@ from torchmbd.registry import Registry
 from torchmbd.study.record.journal import Journal
 from torchmbd.study.report.progress import CHANGE, ROWS, drop_order, outcome_cells, print_table, table_of
 from torchmbd.study.settings import StudySettings
-from torchmbd.summary import few
+from torchmbd.summary import few, plural
 from torchmbd.viz import (
     animate,
     convergence,
@@ -54,7 +54,7 @@ def print_results(study: StudySettings, outcome: MultistartResult, failures: Seq
         "sims",
         "status",
     ]
-    table = table_of(f"{study.name}: {len(outcome.results)} starts, {outcome.converged} converged", columns)
+    table = table_of(f"{study.name}: {plural(len(outcome.results), 'start')}, {outcome.converged} converged", columns)
     best = outcome.best
     moved = [result for result in outcome.results if result.start == 0 and result.history]
     first = moved[0].history[0].objective if moved else float("nan")
