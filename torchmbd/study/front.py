@@ -5,7 +5,6 @@ Checked in tests/study/test_study.py.
 
 from __future__ import annotations
 
-import csv
 from typing import Any
 
 from rich.console import Console
@@ -17,7 +16,7 @@ from torchmbd.optimization.pareto import pareto_front
 from torchmbd.study.record.journal import Journal
 from torchmbd.study.record.runs import child
 from torchmbd.study.report.progress import SearchCounter, print_table, shown_rows, table_of
-from torchmbd.study.report.terminal import missing_picture_reported, save_figure
+from torchmbd.study.report.terminal import save_figure, write_points
 from torchmbd.study.settings import StudySettings
 from torchmbd.summary import plural
 from torchmbd.tracking import Status
@@ -67,15 +66,7 @@ def _show(study: StudySettings, front: Front, journal: Journal, console: Console
         values = [f"{value:z.2f}" for value in study.columns.by_name(point.x).values()]
         table.add_row(str(k), *(f"{value:.6g}" for value in point.criteria), *values)
     print_table(table, console)
-    if len(rows) < len(front.points):
-        console.print(f"{len(rows)} of {len(front.points)} points; all are in front.csv, among the files of the run")
-    with missing_picture_reported(console):
-        file = journal.folder / "front.csv"
-        with file.open("w", newline="", encoding="utf-8") as out:
-            writer = csv.writer(out)
-            writer.writerow([*front.names, *study.columns.names])
-            for point in front.points:
-                writer.writerow([*point.criteria.tolist(), *study.columns.by_name(point.x).values()])
-        journal.file(file)
+    points = [[*point.criteria.tolist(), *study.columns.by_name(point.x).values()] for point in front.points]
+    write_points("front.csv", [*front.names, *study.columns.names], points, len(rows), journal, console)
     title = study.question or study.name
     save_figure(front.plot, ["front.png", "front.pdf"], journal, console, headings=headings, title=title)

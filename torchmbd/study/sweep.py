@@ -6,7 +6,6 @@ evaluated too; where this is zero, values remain as they are. The best point is 
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,7 +24,7 @@ from torchmbd.study.record.journal import Journal, percent
 from torchmbd.study.record.metric_names import gain_metric
 from torchmbd.study.record.runs import child
 from torchmbd.study.report.progress import drop_order, print_table, shown_rows, table_of
-from torchmbd.study.report.terminal import missing_picture_reported, save_figure
+from torchmbd.study.report.terminal import save_figure, write_points
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 from torchmbd.viz import criterion
@@ -204,15 +203,8 @@ def _show(
         cells = [f"{ratios[k]:.4f}" if math.isfinite(ratios[k]) else "failed" for ratios in criteria.values()]
         table.add_row(f"{value:.2f}", *cells, style="bold" if k == best else None)
     print_table(table, console, drop_order(2, len(criteria) - 1))
-    if len(rows) < len(values):
-        console.print(f"{len(rows)} of {len(values)} points; all are in sweep.csv, among the files of the run")
-    with missing_picture_reported(console):
-        file = journal.folder / "sweep.csv"
-        with file.open("w", newline="", encoding="utf-8") as out:
-            writer = csv.writer(out)
-            writer.writerow([study.columns.names[index], *criteria])
-            writer.writerows(zip(values.tolist(), *criteria.values(), strict=True))
-        journal.file(file)
+    points = list(zip(values.tolist(), *criteria.values(), strict=True))
+    write_points("sweep.csv", [study.columns.names[index], *criteria], points, len(rows), journal, console)
     if np.isfinite(next(iter(criteria.values()))).any():
         files = ["sweep.png", "sweep.pdf"]
         save_figure(result.plot, files, journal, console)

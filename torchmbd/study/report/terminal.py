@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -159,6 +160,18 @@ def missing_picture_reported(console: Console) -> Iterator[None]:
         yield
     except (MbdError, OSError) as error:
         console.print(f"No picture: {escape(str(error))}", style="red", soft_wrap=True)
+
+
+def write_points(
+    name: str, headings: Sequence[str], points: Sequence[Sequence[Any]], shown: int, journal: Journal, console: Console
+) -> None:
+    """Write the points of a front or a sweep, a row for each, to a CSV file of the run; say so if not all are shown."""
+    if shown < len(points):
+        console.print(f"{shown} of {len(points)} points; all are in {name}, among the files of the run")
+    with missing_picture_reported(console):
+        with (journal.folder / name).open("w", newline="", encoding="utf-8") as out:
+            csv.writer(out).writerows([headings, *points])
+        journal.file(journal.folder / name)
 
 
 def _map_arguments(
