@@ -124,7 +124,7 @@ def logging(file: Path, table: bool) -> None:
             for iteration in range(STEPS + 1):
                 for k in range(STARTS):
                     journal.iterate(Iterate(k, iteration, x, 1.0 / (1 + iteration), 0.0, np.zeros(1), iteration + 1))
-            journal.end_all("FINISHED")
+            tracker.end_all("FINISHED")
             tracker.close()
 
         wall, processor = timed(tell)
