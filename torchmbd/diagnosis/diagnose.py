@@ -13,6 +13,7 @@ from torchmbd.diagnosis.failures import name_causes, name_singular_positions, wa
 from torchmbd.diagnosis.gains import mark_gains
 from torchmbd.diagnosis.jumps import warn_of_jumps
 from torchmbd.diagnosis.load_shares import warn_of_loads
+from torchmbd.diagnosis.rigid_vibrations import mark_vibrations
 from torchmbd.diagnosis.truncation import warn_static_truncation
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.phase import Phase
@@ -29,7 +30,8 @@ def warn_of_model(
 
 
 def explain(motion: Trajectory, beyond: Trajectory) -> None:
-    """Add causes to the status of lanes that failed, and a doubt to that of lanes that gain energy from nothing.
+    """Add causes to the status of lanes that failed, and mark lanes that gain energy from nothing or whose vibrations are
+    unresolved.
 
     motion   of plain numbers;  beyond: the same with the numbers after a failure
     """
@@ -37,6 +39,7 @@ def explain(motion: Trajectory, beyond: Trajectory) -> None:
         name_singular_positions(beyond)
     name_causes(motion)
     mark_gains(motion)
+    mark_vibrations(motion)
 
 
 def warn_of_motion(motion: Trajectory, beyond: Trajectory) -> None:

@@ -1,0 +1,100 @@
+"""Steps that do not resolve the vibrations of rigid bodies on springs.
+
+    share = sum |d_n| / sum |a_n|,   d_n = (a_(n-1) - 2 a_n + a_(n+1)) / 4        norms: |a|^2 = m |r''|^2 + tr P0 |omega'|^2
+
+    P0    second moment of the mass about the origin of a body [kg m2]
+
+A vibration of phi radians in a step has the share sin^2(phi / 2): `ALTERNATION`, 0.3, is that of five steps to a period. The
+share counts vibrations by their size, so those that nothing excites count as none. A lane with a larger share is
+unresolved if the motion, linearized where its accelerations alternate most, has a vibration of less than _STEPS steps to a
+period. Loads that change from step to step, and accelerations that jump, have large shares without such a vibration.
+
+The estimates of the steps (integrate/estimates.py) do it for flexible bodies and for beams.
+Checked in tests/diagnosis/test_rigid_vibrations.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import DesignFailure
+from torchmbd.integrate.lane_status import ALTERNATION, UNRESOLVED, warn_unresolved
+from torchmbd.math.pair import value
+from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations
+from torchmbd.results.lane_motion import lane_motion
+from torchmbd.results.motion_data import OK
+from torchmbd.results.trajectory import Trajectory
+
+_STEPS = 7.0  # to a period: the stiffness changes along a motion, and 5 steps have the limit of the share
+_GOOD = 40.0  # steps to a period whose phase is 1 % off after five periods
+_EQUAL = 1e-6  # of a step: rounding of times
+_ROUNDING = 1e-10  # of coordinates by the square of a step, as of the iterations of steps (integrate/statistics.py)
+
+
+def mark_vibrations(motion: Trajectory) -> None:
+    """Set the status of lanes of a motion of values whose equal steps do not resolve the vibrations of rigid bodies."""
+    T, h = motion.dynamics.topology, motion.stats.get("step_size")
+    if h is None or T.flexible or T.beams is not None or not T.actions or len(motion.t) - 1 != motion.stats["steps"]:
+        return
+    lanes, halved = [k for k, status in enumerate(motion.status) if status == OK], motion.stats.get("halved", ())
+    if len(lanes) > len(halved):
+        _mark(motion, motion, [(k, k) for k in lanes if k not in halved])
+    for lane in (k for k in lanes if k in halved):
+        _mark(motion, lane_motion(motion, lane).motion, [(lane, 0)])
+    warn_unresolved([motion.status[lane] for lane in lanes])
+
+
+def _mark(motion: Trajectory, part: Trajectory, lanes: Sequence[tuple[int, int]]) -> None:
+    """Set the status of lanes of a motion by a part of it that has all their states; lanes of both."""
+    change, size = alternations(part)
+    share = change.sum(1) / size.sum(1).clamp_min(torch.finfo(size.dtype).tiny)
+    for lane, k in lanes:
+        if float(share[k]) > ALTERNATION:
+            middle = 1 + int(change[k].argmax())
+            f, h = _largest_frequency(part, k, middle), float(part.t[middle + 1] - part.t[middle])
+            if f * h * _STEPS > 1.0:
+                needed = math.ceil(round(_GOOD * f * float(part.t[-1]), 6))
+                motion.status[lane] = (
+                    f"{UNRESOLVED}the steps do not resolve a vibration of {f:.3g} Hz: a period has {1.0 / (f * h):.2g} steps. "
+                    f"Try: steps={needed}, which are {_GOOD:g} for each period"
+                )
+
+
+def alternations(motion: Trajectory) -> tuple[Tensor, Tensor]:
+    """|d_n| and |a_n| at the inner times [lanes, times - 2] [kg^1/2 m/s2], zero beside switches; |d_n| is zero where it is
+    rounding.
+    """
+    data, n, t = motion.dynamics.data, motion.dynamics.topology.bodies, motion.t
+    mass = value(data["mass"])[:, 0].T[:, None, None].sqrt()  # [lanes, 1, 1, bodies]
+    turning = value(data["P0"])[:, :, :, 0].diagonal().sum(-1).T[:, None, None].sqrt()
+    points, turns = (motion.a[..., i * n : (i + 3) * n].unflatten(-1, (3, n)) for i in (0, 3))
+    a = torch.cat([points * mass, turns * turning], -1).flatten(-2)
+    d = 0.25 * (a[:, 2:] - 2.0 * a[:, 1:-1] + a[:, :-2])
+    change, size = d.norm(dim=-1), a[:, 1:-1].norm(dim=-1)
+    h = t[2:] - t[1:-1]
+    inner = (((t[1:-1] - t[:-2]) - h).abs() <= _EQUAL * h).expand_as(change).clone()
+    for switch in motion.switches:
+        inner &= (switch.t[:, None] < t[:-2]) | (t[2:] < switch.t[:, None])
+    rounding = (
+        _ROUNDING / h.clamp_min(torch.finfo(h.dtype).tiny) ** 2 * mass.amax() * motion.q[..., : 3 * n].abs().amax()
+    )
+    return torch.where(inner & (change > rounding), change, 0.0), torch.where(inner, size, 0.0)
+
+
+def _largest_frequency(motion: Trajectory, lane: int, time: int) -> float:
+    """The largest frequency of small vibrations about the state of a lane at a time [Hz]; 0: there are none."""
+    dynamics, q = motion.dynamics.values().select_lanes([lane]), motion.q[lane, time]
+    if motion.switches:  # rows of joints that are released, and of locks that do not act, have no multipliers
+        rows = torch.nonzero(motion.lam[lane, time])[:, 0].tolist()
+        dynamics = replace(dynamics, topology=dynamics.topology.selected(rows))
+    try:
+        vibrations = Vibrations.of(Linearization.of(dynamics, q, motion.t[time]))
+    except DesignFailure:  # a part without inertia is free to move: frequencies are infinite
+        return 0.0
+    frequencies = vibrations.frequencies
+    return float(frequencies[frequencies.isfinite()].amax()) if bool(frequencies.isfinite().any()) else 0.0
