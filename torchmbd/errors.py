@@ -313,7 +313,8 @@ def argument_names(function: Callable[..., Any]) -> tuple[str, ...]:
 
 
 def keyword_hints(x: T) -> T:
-    """Decorator of a function or class that many programs call: Python's TypeError gets the nearest name as a note.
+    """Decorator of a function or class that many programs call: the TypeError of a keyword that does not exist gets the nearest
+    name as a note.
 
     A class has its constructor and its class methods decorated.
 
@@ -332,18 +333,40 @@ def keyword_hints(x: T) -> T:
         return x
     function: Any = x
 
+    takes_options = any(x.kind is x.VAR_KEYWORD for x in inspect.signature(function).parameters.values())
+
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
+        unknown = {key: value for key, value in kwargs.items() if key not in argument_names(function)}
+        if unknown and not takes_options:
+            shown = type(args[0]).__name__ if function.__name__ == "__init__" else function.__qualname__
+            error = TypeError(f"{shown}() got an unexpected keyword argument {next(iter(unknown))!r}")
+            _add_names(error, function, unknown)
+            raise error
         try:
             return function(*args, **kwargs)
         except TypeError as error:
-            names = argument_names(function)
-            for key in kwargs.keys() - set(names):
-                if name := _closest(key, list(names), cutoff=0.6):
-                    error.add_note(f"Try: {name} = ... in place of {key} = {_brief(kwargs[key])}.")
+            _add_names(error, function, unknown)
             raise
 
     return call  # type: ignore[return-value]
+
+
+class HintedKeywords:
+    """Base of families of classes: the constructor of each subclass has `keyword_hints`."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "__init__" in vars(cls):
+            constructed: Any = cls
+            constructed.__init__ = keyword_hints(constructed.__init__)
+
+
+def _add_names(error: TypeError, function: Callable[..., Any], unknown: dict[str, Any]) -> None:
+    """Add the argument whose name is nearest to each keyword that does not exist."""
+    for key, value in unknown.items():
+        if name := _closest(key, list(argument_names(function)), cutoff=0.6):
+            error.add_note(f"Try: {name} = ... in place of {key} = {_brief(value)}.")
 
 
 def _brief(x: object) -> str:

@@ -306,6 +306,31 @@ def test_a_type_error_inside_a_call_stays_what_it_is():
     assert not hasattr(error.value, "__notes__")
 
 
+@pytest.mark.parametrize(
+    "kind",
+    [
+        mbd.SpringDamper,
+        mbd.AxialSpringDamper,
+        mbd.RotationalSpringDamper,
+        mbd.AxialStop,
+        mbd.RotationalStop,
+        mbd.Bushing,
+    ],
+)
+def test_a_misspelt_keyword_of_a_force_names_the_class_and_the_nearest_argument(kind):
+    with pytest.raises(TypeError) as error:
+        kind(GROUND.at(), CRANK.at(), stifness=3.0)
+    assert str(error.value).startswith(kind.__name__)
+    assert "stiffness" in error.value.__notes__[0]
+
+
+def test_a_misspelt_keyword_of_a_joint_names_the_class_and_the_nearest_argument():
+    with pytest.raises(TypeError) as error:
+        joint(mbd.Revolute, axes="z")
+    assert str(error.value).startswith("Revolute")
+    assert "axis" in error.value.__notes__[0]
+
+
 def test_warnings_name_the_line_of_the_caller():
     with warned("units of nodes") as caught:
         mbd.mesh.rectangle(300.0, 60.0, (1, 1))

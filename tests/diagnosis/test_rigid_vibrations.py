@@ -1,4 +1,4 @@
-"""Steps that do not resolve rigid bodies on springs are told, whatever the coordinates; what is resolved, or at rest, is not."""
+"""Steps that do not resolve rigid bodies on springs are told, whatever the coordinates; resolved or resting ones are not."""
 
 from __future__ import annotations
 

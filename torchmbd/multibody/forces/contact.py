@@ -48,12 +48,12 @@ class _Stop(_Contact):
         a: Frame,
         b: Frame,
         axis: str,
-        lower: float | Tensor | None = None,
-        upper: float | Tensor | None = None,
-        stiffness: float | Tensor = 1e4,
-        damping: float | Tensor = 0.0,
-        exponent: float | Tensor = 1.0,
-        name: str | None = None,
+        lower: float | Tensor | None,
+        upper: float | Tensor | None,
+        stiffness: float | Tensor,
+        damping: float | Tensor,
+        exponent: float | Tensor,
+        name: str | None,
     ):
         super().__init__((a, b), name)
         axis_index(axis)
@@ -96,8 +96,19 @@ class AxialStop(_Stop):
     -1.0
     """
 
-    def __init__(self, a: Frame, b: Frame, axis: str = "x", **arguments):
-        super().__init__(a, b, axis, **arguments)
+    def __init__(
+        self,
+        a: Frame,
+        b: Frame,
+        axis: str = "x",
+        lower: float | Tensor | None = None,
+        upper: float | Tensor | None = None,
+        stiffness: float | Tensor = 1e4,
+        damping: float | Tensor = 0.0,
+        exponent: float | Tensor = 1.0,
+        name: str | None = None,
+    ):
+        super().__init__(a, b, axis, lower, upper, stiffness, damping, exponent, name)
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
@@ -122,8 +133,19 @@ class RotationalStop(_Stop):
     -2.0
     """
 
-    def __init__(self, a: Frame, b: Frame, axis: str = "z", **arguments):
-        super().__init__(a, b, axis, **arguments)
+    def __init__(
+        self,
+        a: Frame,
+        b: Frame,
+        axis: str = "z",
+        lower: float | Tensor | None = None,
+        upper: float | Tensor | None = None,
+        stiffness: float | Tensor = 1e4,
+        damping: float | Tensor = 0.0,
+        exponent: float | Tensor = 1.0,
+        name: str | None = None,
+    ):
+        super().__init__(a, b, axis, lower, upper, stiffness, damping, exponent, name)
         if self.width > MOST_TURN:
             raise InputError(
                 (self.name, "limits"),

@@ -12,7 +12,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmbd.errors import InputError, keyword_hints
+from torchmbd.errors import InputError
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.forces.action import Along, Law, Length, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
@@ -53,7 +53,6 @@ class _Between(ForceElement):
         self.law = check_law(self.name, spring if law is None else self.law_variables.law(law))
 
 
-@keyword_hints
 class SpringDamper(_Between):
     """Spring and damper along the line from a to b, linear, or with a law of your own.
 
@@ -87,8 +86,18 @@ class AxialSpringDamper(_Between):
     1.5915
     """
 
-    def __init__(self, a: Frame, b: Frame, axis: str = "x", **arguments):
-        super().__init__(a, b, **arguments)
+    def __init__(
+        self,
+        a: Frame,
+        b: Frame,
+        axis: str = "x",
+        stiffness: float | Tensor = 0.0,
+        damping: float | Tensor = 0.0,
+        rest: float | Tensor = 0.0,
+        law: Law | None = None,
+        name: str | None = None,
+    ):
+        super().__init__(a, b, stiffness, damping, rest, law, name)
         axis_index(axis)
         self.axis = axis
 
@@ -115,8 +124,18 @@ class RotationalSpringDamper(_Between):
     1.5915
     """
 
-    def __init__(self, a: Frame, b: Frame, axis: str = "z", **arguments):
-        super().__init__(a, b, **arguments)
+    def __init__(
+        self,
+        a: Frame,
+        b: Frame,
+        axis: str = "z",
+        stiffness: float | Tensor = 0.0,
+        damping: float | Tensor = 0.0,
+        rest: float | Tensor = 0.0,
+        law: Law | None = None,
+        name: str | None = None,
+    ):
+        super().__init__(a, b, stiffness, damping, rest, law, name)
         axis_index(axis)
         self.axis = axis
 

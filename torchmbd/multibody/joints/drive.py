@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError, keyword_hints
+from torchmbd.errors import InputError
 from torchmbd.math.gradients import refuse_gradients, refuse_lost_gradients
 from torchmbd.math.plausible_units import warn_degrees
 from torchmbd.math.torch_law import require_differentiable
@@ -25,7 +25,6 @@ from torchmbd.multibody.joints.primitive import Angle, Law, Travel
 VARIABLES = "a torch module of time as the law itself, whose parameters are design variables; constant tensors"
 
 
-@keyword_hints
 class Drive(Joint):
     """`Drive(a, b, axis="z", speed=...)`, or one of `angle`, `velocity`, `position` instead of `speed`.
 

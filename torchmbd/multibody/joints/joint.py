@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.errors import HintedKeywords, InputError
 from torchmbd.fem.elements.beam_line import varying_nodes
 from torchmbd.math.variable import Numbers, ParameterVector
 from torchmbd.multibody.bodies.frame import Frame, axis_index
@@ -225,7 +225,7 @@ class JointCoordinate:
         return f"{self.joint.name}.{'angle' if self.turns else 'travel'}"
 
 
-class Joint:
+class Joint(HintedKeywords):
     """Base of all joints: two frames on two different bodies, and a name."""
 
     def __init__(self, a: Frame, b: Frame, name: str | None = None):
