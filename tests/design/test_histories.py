@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, pendulum, tensor
+from tests.refused import warned
 from torchmbd.design import (
     Acceleration,
     Displacement,
@@ -166,3 +169,14 @@ def test_what_the_system_does_not_have(history, words):
     with pytest.raises(mbd.InputError) as error:
         history.check(pendulum())
     assert words in str(error.value)
+
+
+def test_a_displacement_of_the_reference_node_seen_from_its_body_is_told():
+    system = mbd.examples.arm()
+    fixed, free = (mbd.Displacement("arm", "z", node=node) for node in ("center", "right"))
+    with warned("'center'", "'arm'", "seen_from='ground'"):
+        fixed.check(system)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        free.check(system)
+        mbd.Displacement("arm", "z", node="center", seen_from="ground").check(system)

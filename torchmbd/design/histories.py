@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import History
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, unknown, warn
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
 from torchmbd.multibody.system import System
@@ -173,6 +173,14 @@ class Displacement(Position):
                 state="is zero",
                 noun=f"displacement of the origin of {self.body!r} seen from itself",
             )
+        body = system.body(self.body)
+        if self.observer == self.body and self.node is not None and isinstance(body, FlexibleBody):
+            frame = body.at(self.node).interpolation
+            if frame is not None and set(frame.nodes) <= set(body.reference):
+                warn(
+                    f"the displacement of node {self.node!r} of {self.body!r} is zero at all times, because the body frame is "
+                    "fixed to this node. Try: seen_from='ground', another node, or another reference of the body"
+                )
 
     @property
     def observer(self) -> str:

@@ -109,6 +109,7 @@ class DesignSpace:
                 "variables",
                 allowed="at least one design variable",
                 state="has no parameter that requires a gradient",
+                noun="the system",
             )
         self.shapes = {name: parameters[name].shape for name in self.variables}
         self.entries = [f"{name}[{i}]" for name in self.variables for i in range(parameters[name].numel())]
@@ -122,7 +123,7 @@ class DesignSpace:
         self.lower, self.upper = self._bounds(bounds)
         for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
             if not low <= high:
-                rule = f"must be below upper = {shown(name, high)}; allowed: also equal to it"
+                rule = f"must be below upper = {shown(name, high)}, or equal to it"
                 noun = f"{_NOUNS['lower']} of {name}"
                 raise InputError(("lower", name), low, rule=rule, noun=noun, shown=shown(name, low))
         self.start = self.point("start", start, values)
@@ -231,6 +232,9 @@ def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tup
             for source, factor in links[entry].items():
                 value = float(_numbers(("links", entry, source), f"link of {entry}", factor, 1)[0])
                 if source == CONSTANT:
+                    check_parameter(
+                        f"{CONSTANT} in the link of", _parameter(entry), torch.tensor([value]), ("links", entry)
+                    )
                     offset[row] = value
                 else:
                     numbers.append((row, free[source], value))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from torchmbd.diagnosis.elastic_limits import warn_of_displacements, warn_of_spin
+from torchmbd.diagnosis.elastic_limits import warn_of_damping, warn_of_displacements, warn_of_spin
 from torchmbd.diagnosis.failures import name_causes, name_singular_positions, warn_of_singular_positions
 from torchmbd.diagnosis.gains import mark_gains
 from torchmbd.diagnosis.jumps import warn_of_jumps
@@ -52,3 +52,4 @@ def warn_of_motion(motion: Trajectory, beyond: Trajectory) -> None:
     warn_of_spin(motion)
     warn_of_loads(motion)
     warn_of_displacements(motion)
+    warn_of_damping(motion)

@@ -30,6 +30,7 @@ from torch import Tensor
 
 from torchmbd.errors import warn
 from torchmbd.math.pair import value
+from torchmbd.math.variable import number
 from torchmbd.results.motion_data import has_failed
 from torchmbd.results.trajectory import Trajectory
 
@@ -94,6 +95,21 @@ def warn_of_spin(motion: Trajectory) -> None:
                 f"body {name!r} turns at {rounded} of its first frequency: centrifugal stiffening, which linear elastic "
                 f"displacements leave out, is of the size {min(float(rounded) ** 2, 1.0):.0%} of its deflections; allowed: "
                 "stiffening=True of a body of plates and beams",
+            )
+
+
+def warn_of_damping(motion: Trajectory) -> None:
+    """Warn of bodies whose damping is above the critical one of their first mode: a damping ratio given for a time."""
+    for name in motion.dynamics.topology.names[: motion.dynamics.topology.flexible]:
+        time = float(number(getattr(getattr(motion.system.body(name), "damping", None), "time", 0.0)))
+        if not time:
+            continue
+        first = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).sqrt()
+        ratio = 0.5 * time * _largest(first)
+        if ratio > 1.0:
+            warn(
+                f"damping of body {name!r} = {time:g} s gives its first mode the damping ratio {ratio:.3g}, above the critical "
+                f"one. Try: a time, 2 x ratio / {_largest(first):.3g} rad/s for a ratio of this mode"
             )
 
 

@@ -28,6 +28,7 @@ from torchmbd.math.pair import value
 from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations
 from torchmbd.results.lane_motion import lane_motion
 from torchmbd.results.motion_data import OK
+from torchmbd.results.time_rows import IntegratedSignals, StepStates
 from torchmbd.results.trajectory import Trajectory
 
 _STEPS = 7.0  # to a period: the stiffness changes along a motion, and 5 steps have the limit of the share
@@ -44,9 +45,25 @@ def mark_vibrations(motion: Trajectory) -> None:
     lanes, halved = [k for k, status in enumerate(motion.status) if status == OK], motion.stats.get("halved", ())
     if len(lanes) > len(halved):
         _mark(motion, motion, [(k, k) for k in lanes if k not in halved])
-    for lane in (k for k in lanes if k in halved):
-        _mark(motion, lane_motion(motion, lane).motion, [(lane, 0)])
+    if halved:
+        whole = _with_all_steps(motion)
+        for lane in (k for k in lanes if k in halved):
+            _mark(motion, lane_motion(whole, lane).motion, [(lane, 0)])
     warn_unresolved([motion.status[lane] for lane in lanes])
+
+
+def _with_all_steps(motion: Trajectory) -> Trajectory:
+    """The motion with the states at the smaller steps of its lanes."""
+    signals = motion.signals
+    assert isinstance(signals, IntegratedSignals)
+    assert signals.integration is not None
+    states = signals.integration.history.at_steps()
+    if not states:
+        return motion
+    q, v, vd, lam, *rest = states
+    at_steps = StepStates(*(x[:, :, :1] for x in (q, v, vd, lam)), *rest)
+    known = signals.history, signals.integration, signals.data, signals.valid_times
+    return replace(motion, signals=IntegratedSignals(*known, at_steps))
 
 
 def _mark(motion: Trajectory, part: Trajectory, lanes: Sequence[tuple[int, int]]) -> None:

@@ -11,10 +11,12 @@ modulus or density is a warning, as some structure may have it.
     density                                    10 to 25,000 kg/m3
     speed of sound, of the largest modulus     20 to 30,000 m/s
     modulus                                    1e-6 of the largest at least; as a design or bound 1 kPa to 2 TPa
-    strength along the fibre                   1e-5 of the modulus at least
+    strength                                   10 kPa at least; along the fibre 1e-5 of the modulus
+    stiffness, damping of a spring             not negative
+    damping time of a body                     below that of critical damping of its first mode
     radius of gyration of a rigid body         up to 20 m
-    turn of a drive                            not exactly 30, 45, 60, 90, 180, 270, 360 rad
     gravity                                    not 9810, 981, 386 or 32.2 m/s2, which is that of the earth in mm, cm, in, ft
+    turn of a drive                            from 30 to 360 rad not exactly a multiple of 15 or 20 rad, such as 45, 90, 100
 
 The quantity of a parameter is known from its name: `angles`, `thickness`, `width`, `E1`, `density`.
 Checked in tests/math/test_plausible_units.py.
@@ -47,9 +49,10 @@ _USUAL = {
     "density": ("kg/m3", DENSITY),
 }
 _TURNS = {"pi / 4": math.pi / 4.0, "pi / 2": math.pi / 2.0, "pi": math.pi, "2 pi": 2.0 * math.pi}
-_IN_DEGREES = (30.0, 45.0, 60.0, 90.0, 180.0, 270.0, 360.0)
 _LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "ft": 0.3048}  # unit -> m
 _EARTH, _NEAR_EARTH = 9.807, 0.03  # m/s2: standard gravity, and its range from the equator (9.780) to the poles (9.832)
+_IN_DEGREES = (30.0, 360.0)  # multiples of 15 or 20 between them
+STRENGTH = (1e4, math.inf)  # Pa
 WHOLE_TURN = 2.0 * math.pi * (1.0 + 1e-12)  # 360 degrees, rounded
 
 
@@ -68,7 +71,7 @@ def check_angles(name: str, values: Iterable[float], outer: str = "", path: Path
 
 def warn_degrees(name: str, value: float) -> None:
     """Warn if a turn of a drive [rad], which may be many turns, is a common number of degrees such as 90."""
-    if abs(value) in _IN_DEGREES:
+    if _IN_DEGREES[0] <= abs(value) <= _IN_DEGREES[1] and (value % 15.0 == 0.0 or value % 20.0 == 0.0):
         warn(f"{name} = {value:g} rad: is this angle in degrees? Try: mbd.deg({value:g}), if it is in degrees")
 
 
@@ -77,7 +80,13 @@ def warn_gravity(values: Tensor) -> None:
     size = float(values.detach().norm())
     for unit, meters in _LENGTHS.items():
         if abs(size * meters - _EARTH) < _NEAR_EARTH:
-            warn(f"units of gravity? Its size is {size:.6g} m/s2, that of the earth in {unit}/s2; allowed: m/s2")
+            warn(f"units of gravity = {size:.6g} m/s2: this is that of the earth in {unit}/s2. Try: numbers in m/s2")
+
+
+def warn_negative(name: str, value: float, unit: str, consequence: str) -> None:
+    """Warn of a negative number of a spring or damper, and of what it does."""
+    if value < 0.0:
+        warn(f"{name} = {value:g} {unit} is negative: it {consequence}. Try: {-value:g}, if this is a mistake")
 
 
 def turn_in_radians(degrees: Iterable[float]) -> str | None:
@@ -112,10 +121,9 @@ def warn_unusual(name: str, value: float, unit: str, usual: tuple[float, float])
     if value < 0.0 < usual[0]:
         warn(f"{name} is {value:.6g} {unit}; allowed: positive; usual: {usual[0]:g} to {usual[1]:g} {unit}".rstrip())
     elif not usual[0] <= value <= usual[1]:
-        warn(
-            f"units of {name}? It is {value:.6g} {unit}; allowed: m, kg, s, N, Pa; usual: {usual[0]:g} to {usual[1]:g} "
-            f"{unit}".rstrip()
-        )
+        values = f"at least {usual[0]:g} {unit}" if usual[1] == math.inf else f"{usual[0]:g} to {usual[1]:g} {unit}"
+        number = f"{value:.6g} {unit}".rstrip()
+        warn(f"units of {name} = {number}, usually {values.rstrip()}. Try: numbers in m, kg, s, N, Pa")
 
 
 def warn_unusual_material(kind: str, moduli: Mapping[str, float], density: float, strength: float | None) -> None:
@@ -129,5 +137,5 @@ def warn_unusual_material(kind: str, moduli: Mapping[str, float], density: float
         usual = (density * SOUND[0] ** 2, density * SOUND[1] ** 2)
         warn_unusual(f"{kind}: {largest}", high, "Pa", usual)
     warn_unusual(f"{kind}: {softest}", low, "Pa", (SOFTEST * high, high))
-    if strength is not None:
+    if strength is not None and strength >= STRENGTH[0]:  # Strength tells smaller ones
         warn_unusual(f"{kind}: strength along the fibre", strength, "Pa", (STRAIN * moduli["E1"], math.inf))

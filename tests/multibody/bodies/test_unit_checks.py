@@ -31,8 +31,8 @@ def test_right_units_are_not_doubted(ply, scale):
 @pytest.mark.parametrize(
     ("change", "scale", "words"),
     [
-        ({}, 1e3, r"its size is 316 m; it is 316 m long, weighs \S+ kg, and its first frequency is \S+ Hz"),
-        ({}, 1e-3, r"its size is 0.000316 m"),
+        ({}, 1e3, r"Its size is 316 m, its mass \S+ kg, its first frequency \S+ Hz"),
+        ({}, 1e-3, r"Its size is 0.000316 m"),
         ({"density": 1.586e-9}, 1.0, r"density 1.59e-09 kg/m3"),
         ({"density": 1.586e6}, 1.0, r"density 1.59e\+06 kg/m3"),
         (
@@ -44,5 +44,5 @@ def test_right_units_are_not_doubted(ply, scale):
     ids=["mm as m", "m as mm", "t/mm3", "g as kg", "MPa as Pa"],
 )
 def test_wrong_units_are_doubted(change, scale, words):
-    with pytest.warns(UserWarning, match=rf"units of body 'plate'\? .*{words}"):
+    with pytest.warns(UserWarning, match=rf"units of body 'plate': .*{words}"):
         made(dataclasses.replace(CARBON, **change), scale)

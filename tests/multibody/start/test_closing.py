@@ -117,3 +117,9 @@ def test_a_joint_that_bends_a_body_is_closed_by_the_equilibrium():
     assert not description.closing.bodies
     assert (description.closes, description.frequencies) == (False, ())
     assert "not closed  no rigid displacement closes these joints" in str(description)
+
+
+def test_rounding_of_points_at_one_place_is_not_listed():
+    bracket = mbd.RigidBody("bracket", 1.0, (0.1, 0.1, 0.1), position=(1.7e-18, 0.0, 1e-17))
+    found = mbd.System([bracket], [mbd.Fixed(GROUND.at(), bracket.at())]).describe()
+    assert (found.closing.joints, found.closing.bodies, found.closing.far) == ((), (), False)

@@ -39,6 +39,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.materials.failure_modes import MODES
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.gradients import untransformed
+from torchmbd.math.plausible_units import STRENGTH, warn_unusual
 from torchmbd.math.variable import check_positive, number, stacked
 
 #: The stresses and strains of a ply, in this order; 1 = fiber, 3 = thickness. Shear strains are engineering strains.
@@ -73,6 +74,8 @@ class Strength:
 
     def __post_init__(self) -> None:
         check_positive(self, " Pa", infinite=True)
+        for name in self.positive:
+            warn_unusual(f"Strength: {name}", number(getattr(self, name)), "Pa", STRENGTH)
         ratio = number(self.interaction)
         if not (is_real(ratio) and -1.0 < ratio < 1.0):
             raise InputError(

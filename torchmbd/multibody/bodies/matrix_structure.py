@@ -31,6 +31,7 @@ from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices, freedom
 from torchmbd.multibody.bodies.interpolation import node_indices
+from torchmbd.multibody.bodies.reduced import twice
 
 RIGID = 1e-5  # largest forces of a rigid motion, relative to the sum of the sizes of their terms
 ISOTROPIC = 1e-6  # largest relative difference of the masses along the three axes
@@ -148,7 +149,7 @@ class MatrixStructure:
                     (self.name, "interface"),
                     interface,
                     allowed,
-                    state=f"has node {node}",
+                    state=twice(node, self.reference),
                 )
         rows = torch.isin(self.free // 6, torch.tensor(nodes, dtype=torch.long)).nonzero()[:, 0].tolist()
         kind = ("craig-bampton" if rows else "vibration") if kind is None else kind

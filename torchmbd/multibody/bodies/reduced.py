@@ -128,12 +128,17 @@ def _without_mass(assembly: Assembly) -> InputError | None:
     return InputError("M", allowed="a mass or an inertia there", noun=named, state=state)
 
 
+def twice(node: int, reference: Sequence[int]) -> str:
+    """Why a node cannot be in the interface, for a message."""
+    return f"contains node {node}{', which is a reference node' if node in reference else ' twice'}"
+
+
 def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence[int]) -> tuple[int, ...]:
     """Rows of the free degrees of freedom that belong to interface nodes."""
     for node in interface:
         if node in reference or list(interface).count(node) > 1:
             allowed = "nodes that are not references, each once"
-            raise InputError((name, "interface"), interface, allowed, state=f"has node {node}")
+            raise InputError((name, "interface"), interface, allowed, state=twice(node, reference))
     freedoms = torch.tensor([6 * node + i for node in interface for i in range(6)], dtype=torch.long)
     bound = freedoms[~torch.isin(freedoms, free)]
     if len(bound):

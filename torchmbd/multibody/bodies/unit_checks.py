@@ -26,7 +26,7 @@ SIZE = (2e-3, 200.0)  # m
 def warn_units(name: str, mesh: Mesh, plates: Iterable[Plates], structure: Callable[[], dict[str, Any]]) -> None:
     """Warn if size, density or speed of sound of a body is implausible; structure() gives its mass and frequencies."""
     size = _size(mesh)
-    faults = [] if SIZE[0] <= size <= SIZE[1] else [f"its size is {size:.3g} m"]
+    faults = [] if SIZE[0] <= size <= SIZE[1] else [f"sizes below {SIZE[0]:g} m and above {SIZE[1]:g} m are unusual"]
     for part in plates:
         for ply in map(without_variables, part.laminate.layer_plies):
             sound = math.sqrt(ply.E1 / ply.density)
@@ -39,8 +39,8 @@ def warn_units(name: str, mesh: Mesh, plates: Iterable[Plates], structure: Calla
             reduced = structure()
         first = math.sqrt(max(float(torch.linalg.eigvalsh(reduced["Kr"])[0]), 0.0)) / (2.0 * math.pi)
         warn(
-            f"units of body {name!r}? {faults[0]}; it is {size:.3g} m long, weighs {float(reduced['mass']):.3g} kg, and "
-            f"its first frequency is {first:.3g} Hz. Allowed: m, kg, s, N, Pa (readers: units='mm' for mm, t, s, N, MPa)",
+            f"units of body {name!r}: {faults[0]}. Its size is {size:.3g} m, its mass {float(reduced['mass']):.3g} kg, its "
+            f"first frequency {first:.3g} Hz. Try: m, kg, s, N, Pa (readers: units='mm' for mm, t, s, N, MPa)",
         )
 
 

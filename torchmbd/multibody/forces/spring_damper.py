@@ -8,20 +8,29 @@ law=mbd.forces.Scaled(mbd.variable(1.0), law); they are parameters of the system
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.plausible_units import warn_negative
+from torchmbd.math.variable import number
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.forces.action import Along, Law, Length, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.laws import Spring, check_law
 from torchmbd.multibody.joints.joint import AttachmentTable
 
+_NEGATIVE = "pushes away from its rest position", "adds energy to the motion"  # negative stiffness, negative damping
+
 
 class _Between(ForceElement):
-    """a, b: the frames; name: of the element, and of its design variables; others as described by each kind."""
+    """a, b: the frames; name: of the element, and of its design variables; others as described by each kind.
+
+    units   of stiffness and damping
+    """
+
+    units: ClassVar[tuple[str, str]] = ("N/m", "N s/m")
 
     def __init__(
         self,
@@ -34,8 +43,8 @@ class _Between(ForceElement):
         name: str | None = None,
     ):
         super().__init__((a, b), name)
-        numbers: Any = (stiffness, damping, rest)  # of which some may vary
-        spring = self.law_variables.law(Spring(*numbers))
+        numbers: dict[str, Any] = {"stiffness": stiffness, "damping": damping, "rest": rest}  # of which some may vary
+        spring = self.law_variables.law(Spring(**numbers))
         if law is not None and spring != Spring():
             raise InputError(
                 (self.name,),
@@ -50,6 +59,8 @@ class _Between(ForceElement):
                 noun=repr(self.name),
                 state="has neither law nor stiffness nor damping",
             )
+        for label, unit, consequence in zip(("stiffness", "damping"), self.units, _NEGATIVE, strict=True):
+            warn_negative(f"{label} of {self.name!r}", float(number(numbers[label])), unit, consequence)
         self.law = check_law(self.name, spring if law is None else self.law_variables.law(law))
 
 
@@ -123,6 +134,8 @@ class RotationalSpringDamper(_Between):
     >>> round(rest.vibrations[0].frequencies.item(), 4)  # sqrt(2 / 0.02) / (2 pi) [Hz]
     1.5915
     """
+
+    units: ClassVar[tuple[str, str]] = ("N m/rad", "N m s/rad")
 
     def __init__(
         self,

@@ -73,8 +73,10 @@ class Drive(Joint):
         if key in ("speed", "velocity"):
             x = ConstantSpeed(finite((self.name, key), x))
         self.law = _checked(self.name, key, x)
-        for turn in ("size", "amplitude") if key == "angle" else ():
-            warn_degrees(f"{self.name}.{turn}", _number(getattr(x, turn, 0.0)))
+        if key == "angle":
+            for turn in ("size", "amplitude"):
+                warn_degrees(f"{self.name}.{turn}", _number(getattr(x, turn, 0.0)))
+            warn_degrees(f"{self.name}.angle at t = 0", _number(x(torch.zeros((), dtype=torch.float64))))
 
     @property
     def variables(self) -> ParameterVector | None:

@@ -73,9 +73,11 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
         which = alone or [T.row_names[i] for i in driven]
         raise InputError(
             which[0],
-            allowed="a drive along a motion that the joints leave free",
-            noun=f"{', '.join(repr(name) for name in which)}:",
-            state="the other joints leave no degree of freedom for this at the initial position",
+            allowed="a drive along a motion that the joints leave free" if alone else "one drive for each free motion",
+            noun=", ".join(map(repr, which)),
+            state="cannot move, because the other joints hold this motion at the initial position"
+            if alone
+            else "prescribe motions that depend on each other at the initial position",
         )
     dependent = sorted(int(others[i]) for i in dependent)
     if not dependent:

@@ -20,10 +20,12 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import warn
+from torchmbd.math.plausible_units import EXTENT
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.joints.primitive import Angle, Perpendicular
 
 _FAR = 1e-3  # share of the size of the mechanism [-], angle [rad]: see the header
+_SMALLEST = EXTENT[0]  # [m] size of a mechanism: points that all lie at one place differ by rounding
 _ROUNDING = 1e-9  # the same below which nothing is listed
 _SHOWN = 4  # joints, and bodies, in a warning
 
@@ -68,7 +70,7 @@ class Closing:
         points = torch.tensor([x.is_point for x in T.attached], dtype=torch.bool)
         origins = start[: 3 * T.bodies, 0, 0].reshape(3, -1)
         places = torch.cat([origins, before.g[:, points, 0, 0]], 1)
-        size = float((places.amax(1) - places.amin(1)).norm())
+        size = max(float((places.amax(1) - places.amin(1)).norm()), _SMALLEST)
         gaps, phi = {}, equations.constraints(T, still)[:, 0, 0].abs()
         for kind, rows in T.row_slices():
             unit = 2 if kind.angles and not kind.travels else int(isinstance(kind, (Perpendicular, Angle)))
@@ -113,4 +115,4 @@ def _listed(ways: list[Way], size: float) -> tuple[Way, ...]:
     """The ways beyond rounding, the farthest first, with rounding set to zero."""
     rounded = [Way(x.name, x.distance * (x.distance > _ROUNDING * size), x.angle * (x.angle > _ROUNDING)) for x in ways]
     moved = [x for x in rounded if x.distance or x.angle]
-    return tuple(sorted(moved, key=lambda x: -max(x.distance / (size or 1.0), x.angle)))
+    return tuple(sorted(moved, key=lambda x: -max(x.distance / size, x.angle)))
