@@ -130,7 +130,7 @@ def _without_mass(assembly: Assembly) -> InputError | None:
 
 def twice(node: int, reference: Sequence[int]) -> str:
     """Why a node cannot be in the interface, for a message."""
-    return f"contains node {node}{', which is a reference node' if node in reference else ' twice'}"
+    return f"has node {node}{', which is a reference node' if node in reference else ' twice'}"
 
 
 def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence[int]) -> tuple[int, ...]:
