@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import GRAVITY, pendulum, tensor
+from tests.mechanisms import GRAVITY, box, pendulum, tensor, turned
 from tests.refused import warned
 from torchmbd.design import (
     Acceleration,
@@ -180,3 +180,31 @@ def test_a_displacement_of_the_reference_node_seen_from_its_body_is_told():
         warnings.simplefilter("error")
         free.check(system)
         mbd.Displacement("arm", "z", node="center", seen_from="ground").check(system)
+
+
+@pytest.mark.parametrize(
+    ("kind", "free"),
+    [
+        (mbd.Revolute, {("z", "torque")}),
+        (mbd.Prismatic, {("z", "force")}),
+        (mbd.Cylindrical, {("z", "force"), ("z", "torque")}),
+        (mbd.Spherical, {("x", "torque"), ("y", "torque"), ("z", "torque")}),
+    ],
+)
+def test_reactions_along_what_a_joint_leaves_free_are_told(kind, free):
+    """Exactly those are told that are zero in a motion under a general load, in a frame that is turned."""
+    body = box("block", position=(0.1, 0.2, 0.3))
+    turn = turned(0.4, -0.7, 0.3)
+    frames = mbd.Ground().at(axes=turn), body.at(-0.1, -0.2, -0.3)
+    joint = kind(*frames, name="joint") if kind is mbd.Spherical else kind(*frames, axis="z", name="joint")
+    loads = [mbd.Force(body.at(0.1, 0.0, 0.2), (30.0, 20.0, -50.0)), mbd.Torque(body.at(), (1.0, 2.0, 3.0))]
+    system = mbd.System([body], [joint], loads)
+    motion = mbd.simulate(system, 0.01, steps=20, backend="eager", gradients="none")
+    for k, axis in enumerate("xyz"):
+        for what in ("force", "torque"):
+            history = mbd.Reaction("joint", turn[:, k].tolist(), what)
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                history.check(system)
+            assert any("'joint'" in str(x.message) for x in caught) == ((axis, what) in free)
+            assert (float(history.values(motion)[0, 5:].abs().max()) < 1e-8) == ((axis, what) in free)

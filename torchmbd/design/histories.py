@@ -28,13 +28,17 @@ from torch import Tensor
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown, warn
 from torchmbd.integrate import Trajectory
-from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
+from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody, Ground
+from torchmbd.multibody.joints import Cylindrical, Prismatic, Revolute, Spherical
+from torchmbd.multibody.joints.joint import Joint
+from torchmbd.multibody.joints.lock import freedoms
 from torchmbd.multibody.system import System
 from torchmbd.results.beam_motion import BeamMotion
 from torchmbd.results.reaction import frame_point, joint_named, reaction_on
 from torchmbd.results.ringing import warn_of_ringing
 
 GROUND = "ground"
+_ALONG = 1e-9  # of a unit vector: rounding of axes
 Direction = str | Sequence[float]
 
 
@@ -299,6 +303,11 @@ class Reaction(History):
             raise unknown((self.joint, "body"), self.on, bodies)
         if self.axes not in (None, GROUND):
             system.body(self.axes)
+        elif _is_free(joint, self.axis, self.kind):
+            warn(
+                f"the {self.kind} of joint {self.joint!r} along {self.axis!r} is zero at all times, because this joint leaves "
+                "this motion free (a phase may lock it). Try: the reaction of a drive, or another axis"
+            )
 
     def values(self, motion: Trajectory) -> Tensor:
         joint = joint_named(motion.system, self.joint)
@@ -307,6 +316,15 @@ class Reaction(History):
         load = force if self.kind == "force" else torque
         warn_of_ringing(motion, self.joint, self.kind, load)
         return vector_component(motion, load, self.axis, GROUND, self.axes)
+
+
+def _is_free(joint: Joint, axis: Direction, kind: str) -> bool:
+    """True if a joint of the ground leaves the motion along an axis of the ground free, or the rotation about it."""
+    if not isinstance(joint, Revolute | Prismatic | Cylindrical | Spherical) or not isinstance(joint.a.body, Ground):
+        return False
+    free = {k % 3 for k in freedoms(joint) if (k >= 3) == (kind == "torque")}
+    along = joint.a.axes.T @ unit_vector(axis)
+    return bool(free) and all(abs(float(x)) < _ALONG for k, x in enumerate(along) if k not in free)
 
 
 def vector_component(motion: Trajectory, x: Tensor, axis: Direction, observer: str, axes: str | None) -> Tensor:

@@ -239,8 +239,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         modes           least number of vibration modes of the body fixed at its reference nodes (and its interface). A design
                         retains up to four more where others have nearly the frequency of the last, as bending of a tube in two
                         directions; `body.modes` is the number of the first design
-        position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); `simulate` corrects
-                        both so that the joints are closed
+        position, axes  approximate initial position of the reference node (of the mean of several), which is the origin of the
+                        body, in ground axes [m], and rotation (columns: mesh axes); `simulate` corrects both so that the
+                        joints are closed
         reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]; mbd.variable(...): "rod.damping.time"
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node

@@ -220,6 +220,8 @@ def identifier(kind: str, name: str) -> str:
     """Check a name that becomes part of parameter names."""
     if not isinstance(name, str) or not name.isidentifier():
         raise InputError("name", name, "a Python identifier, such as 'rod_2'", noun=f"name of the {kind}")
+    if name == "ground":
+        raise InputError("name", name, "another name, because mbd.Ground() has this one", noun=f"name of the {kind}")
     return name
 
 
