@@ -141,7 +141,7 @@ class System(nn.Module):
         self.forces = forces
         self._join(joints)
         for body in (*self.bodies, *self.beams):
-            if hasattr(self, body.name) or hasattr(StateEquation, body.name) or body.name in ("ground", "data"):
+            if hasattr(self, body.name) or hasattr(StateEquation, body.name) or body.name == "data":
                 raise InputError(
                     "bodies",
                     body.name,
