@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 import torch
 from torch import Tensor
@@ -178,3 +180,21 @@ def test_axes_on_a_bent_body_turn_with_its_nodes():
         rtol=0,
         atol=float(force.abs().amax() * angle**2),
     )
+
+
+@pytest.mark.parametrize("phases", [None, [mbd.Phase(until=0.02), mbd.Phase(lock=["second"])], [mbd.Phase()]])
+def test_loads_that_equilibrium_does_not_determine_are_told_with_phases_too(phases):
+    """Of two hinges on one axis, in every part of the motion in which both act; of one alone nothing is said."""
+    arm = box("arm")
+    ground = mbd.Ground()
+    joints = [
+        mbd.Revolute(ground.at(0, 0, z), arm.at(0, 0, z), name=name) for name, z in (("first", 0.0), ("second", 0.2))
+    ]
+    motion = mbd.simulate(mbd.System([arm], joints), 0.05, steps=10, phases=phases, gradients="none")
+    with pytest.warns(UserWarning, match="over-constraint"):
+        motion.reaction("first")
+    released = [mbd.Phase(until=0.02, release=["second"]), mbd.Phase(release=["second"])]
+    alone = mbd.simulate(mbd.System([arm], joints), 0.05, steps=10, phases=released, gradients="none")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        alone.reaction("first")

@@ -21,6 +21,7 @@ from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.retries import LaneResults, integrate_lanes
 from torchmbd.integrate.step_count import choose_steps
 from torchmbd.multibody.saddle.expansion import Expansion
+from torchmbd.multibody.saddle.rank import Rank
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import Switch
@@ -88,6 +89,13 @@ class IntegratedMotion:
         assert self.steps is not None
         problem = self.problem.values().select_lanes([lane])
         return problem.integrate(replace(by.integrator, checkpoint=1), by.substeps * self.steps).history
+
+    @property
+    def ranks(self) -> list[Rank]:
+        """Of the constraints that act in each part of the motion."""
+        if self.history.segment is None:
+            return [self.dynamics.rank]
+        return [record.dynamics.rank for record in self.history.run.records]
 
     @property
     def status(self) -> list[str]:

@@ -28,6 +28,7 @@ from torchmbd.multibody.system import System
 from torchmbd.results.body_motion import BodyMotion, point_of, triad_of
 from torchmbd.results.motion_data import MotionData
 from torchmbd.results.ringing import warn_of_ringing
+from torchmbd.results.time_rows import IntegratedSignals
 from torchmbd.summary import Summary, few
 
 
@@ -75,15 +76,17 @@ def joint_named(system: System, name: str) -> Joint:
 def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) -> tuple[Tensor, Tensor]:
     """Force, and torque about the points `about` [lanes, times, 3], on the body of one side, in ground axes."""
     T = motion.dynamics.topology
-    # Rows that are released, and those of locks, do not act together.
-    rank = motion.dynamics.rank if motion.is_single else None
-    if rank is not None and joint.name in rank.undetermined:
-        warn(
-            f"over-constraint: equilibrium does not determine all loads of joint {joint.name!r}, because {few(rank.redundant)} "
-            "follow from other rows. The program returns the reactions with the smallest norm. "
-            "Try: joints with fewer constraints, such as mbd.Spherical"
-        )
     acting = {joint.name, *(x.name for x in motion.system.joints if isinstance(x, Lock) and x.of == joint.name)}
+    made = motion.signals.integration if isinstance(motion.signals, IntegratedSignals) else None
+    # Rows that are released, and those of locks, do not act together: each part of a motion has a rank of its own.
+    for rank in made.ranks if made is not None else ():
+        if acting.intersection(rank.undetermined):
+            warn(
+                f"over-constraint: equilibrium does not determine all loads of joint {joint.name!r}, because "
+                f"{few(rank.redundant)} follow from other rows. The program returns the reactions with the smallest norm. "
+                "Try: joints with fewer constraints, such as mbd.Spherical"
+            )
+            break
     rows = torch.tensor([name in acting for name in T.row_joints])
     _, at = placement_at_times(motion)
     # Of lam . Phi of these rows, by attached vectors [3, vectors, 1, lanes x times].

@@ -19,6 +19,7 @@ from torch import Tensor
 from torchmbd.math.gradients import all_true
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.saddle.expansion import Expansion
+from torchmbd.multibody.saddle.rank import Rank
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
 
@@ -97,6 +98,7 @@ class Integration(Protocol):
     validity         how many times of each lane have numbers that count, and 1, or 0 where it has failed [2, 1, lanes]
     expansion        leads from the states to those of the whole system, as a function of the data; None: they are the whole
     multipliers      those of all constraints [times, rows, pair, lanes] out of those that were integrated
+    ranks            of the constraints that act in each part of the motion
     has_checkpoints  whether there are steps between the states that are kept
     at_all_steps     the states of one lane at all its steps; None: all were kept
     """
@@ -112,6 +114,9 @@ class Integration(Protocol):
 
     @property
     def validity(self) -> Tensor: ...
+
+    @property
+    def ranks(self) -> Sequence[Rank]: ...
 
     @property
     def has_checkpoints(self) -> bool: ...
