@@ -113,3 +113,32 @@ def test_coarse_steps_and_variables_of_any_size():
     sizes = tight.abs().amax((0, 1, 2))
     assert float(sizes.min()) < 1e-6 * float(sizes.max())
     assert float(((result - tight).abs().amax((0, 1, 2)) / sizes).max()) < 2e-5
+
+
+@pytest.mark.filterwarnings("ignore")  # the motion is as hard as warnings say
+@pytest.mark.extensions
+def test_gradients_of_a_motion_whose_steps_are_hard_to_solve():
+    """Steps need further corrections: what they leave may be little of the states, and must be little of gradients."""
+    ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=28e-6)
+    laminate = mbd.Laminate(ply, mbd.deg([30, -20, 65]), thickness=0.4e-3)
+    upright = {"position": (0.25, 0, 0), "axes": [[1, 0, 0], [0, 0, 1], [0, -1, 0]], "reference": "left"}
+    mesh = mbd.mesh.rectangle(0.5, 0.05, (6, 2))
+    arm = mbd.FlexibleBody.plate("arm", mesh, laminate, modes=4, damping=2e-3, expansion=True, **upright)
+    tool = mbd.RigidBody("tool", 0.1, (2e-4, 1e-4, 1.5e-4), center=(0.01, 0.02, 0), position=(0.5, 0, 0))
+    hinge = mbd.Revolute(mbd.Ground().at(), arm.at("left"), axis="z")
+    tip = arm.at("right", axes=[[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    guide = mbd.Prismatic(tip, tool.at(), axis="y")
+    spring = mbd.AxialSpringDamper(tip, tool.at(), "y", stiffness=80.0, damping=0.3, rest=0.0)
+    warm = mbd.Temperature(arm, mbd.forces.Scaled(30.0, lambda t: torch.sin(20.0 * t)))
+    push = mbd.Torque(arm.at("left"), (0, 0, 0.2))
+    system = mbd.System([arm, tool], [hinge, guide], [spring, push, warm], gravity=(0, -9.81, 0), truncation=None)
+    energy = mbd.Integral(mbd.StrainEnergy("arm"), window=(0.02, 0.11))
+    name, step = "arm.laminate.thickness", 2e-8
+    options = {"steps": 140, "backend": "native"}
+
+    motion = mbd.simulate(system, 0.14, gradients="reverse", variables=[name], **options).require_ok()
+    assert float(motion.stats["further_corrections"]) >= 2
+    slope = energy.value_and_gradient(motion).gradient[0]
+    sides = laminate.thickness.detach() + step * torch.cat([torch.eye(3), -torch.eye(3)]).double()
+    up, down = energy(mbd.simulate(system, 0.14, gradients="none", designs={name: sides}, **options)).split(3)
+    torch.testing.assert_close(slope, (up - down) / (2.0 * step), rtol=0.02, atol=0)

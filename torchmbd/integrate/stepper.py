@@ -33,8 +33,9 @@ CHECK = 25  # steps between two estimates of what the correction of tangents lea
 TANGENT_ERROR = 2e-5
 MOST = 4  # corrections of tangents
 # Corrections of values that a step makes on top, each with a new matrix, in lanes whose estimated error is above a share of the
-# largest acceleration so far: gradients are those of equations that are solved.
-MORE, PRECISE = 6, 1e-6
+# largest acceleration so far: gradients are those of equations that are solved. A step that needs one is a hard one, where
+# gradients may be off by 1e5 times what is left: it goes on to a smaller share, while corrections fall by half at least.
+MORE, PRECISE, SOLVED = 6, 1e-6, 1e-10
 _NEGLIGIBLE = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
 _EVEN = 1e-9  # of a correction: rounding
 
@@ -113,7 +114,9 @@ class EagerStepper(Stepper):
         self.scale = torch.where(reached > self.scale, reached, self.scale)
         further = torch.zeros_like(last)
         for _ in range(MORE):
-            open_lanes = self.counts & (last * last > PRECISE * self.scale * before)
+            error, goal = last * last, self.scale * before
+            falls = (further > 0.0) & (last < 0.5 * before)
+            open_lanes = self.counts & ((error > PRECISE * goal) | (falls & (error > SOLVED * goal)))
             if not bool(open_lanes.any()):
                 break
             self._factorize(step, z, open_lanes)

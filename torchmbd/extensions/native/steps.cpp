@@ -8,7 +8,7 @@
 // raised.
 
 constexpr int MOST = 4, MORE = 6, CHECK = 25;  // as in stepper.py
-constexpr double PRECISE = 1e-6;               // as in stepper.py
+constexpr double PRECISE = 1e-6, SOLVED = 1e-10;  // as in stepper.py
 constexpr double ITERATION_ERROR = 1e-2;       // as in statistics.py
 
 struct Job {
@@ -60,9 +60,10 @@ static void start_uniformly(const Counts& c, const V* x, const V* u, V* z) {
 }
 
 // One where the next correction of values, as estimated from the last two, is no rounding (IterationErrors in stepper.py).
-static V imprecise(const V& before, const V& last, const V& scale) {
-  const V one = spread(1.0), zero = spread(0.0), goal = PRECISE * scale * before;
-  return last * last > goal ? one : zero;  // zero of a lane that is nan
+static V imprecise(const V& before, const V& last, const V& scale, const V& further) {
+  const V one = spread(1.0), zero = spread(0.0), half = 0.5 * before, goal = scale * before;
+  const V share = further > 0.0 ? (last < half ? spread(SOLVED) : spread(PRECISE)) : spread(PRECISE);
+  return last * last > share * goal ? one : zero;  // zero of a lane that is nan
 }
 
 // The data that move, as they are at the end of a step.
@@ -170,8 +171,8 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
       }
       const V reached = largest(z, c.n_v);
       scale = reached > scale ? reached : scale;
-      V open = counted != 0.0 ? imprecise(before, last_size, scale) : spread(0.0);
       V further = spread(0.0);
+      V open = counted != 0.0 ? imprecise(before, last_size, scale, further) : spread(0.0);
       for (long k = 0; k < MORE && any(open); k++) {  // of some lanes alone, each with a matrix of its own
         if (ask(in, m, J.feedback, SLOPES, i, block)) return 2;
         renew(in, m, N_, J.row_mask, J.diagonal_shift, trial);
@@ -182,7 +183,7 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
         further += open;
         before = open != 0.0 ? last_size : before;
         last_size = open != 0.0 ? largest(R, c.n_v) : last_size;
-        open = open != 0.0 ? imprecise(before, last_size, scale) : open;
+        open = open != 0.0 ? imprecise(before, last_size, scale, further) : open;
       }
       put(J.sizes + 3 * i * J.lanes + block * LANES, before, valid);
       put(J.sizes + (3 * i + 1) * J.lanes + block * LANES, last_size, valid);
