@@ -2,6 +2,7 @@
 
     stepper               regular steps of all lanes, from output to output
     step_of_size          a step of every lane whose size and end may depend on the design
+    smooth_start          the states from which steps go on after a switch, or with another size
     estimates             of the errors of the steps
     retry                 the integrator for lanes that failed
     with_defaults         the same integrator, defaults chosen for a system
@@ -24,6 +25,7 @@ from torch import Tensor
 
 from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.estimates import StepEstimates
+from torchmbd.integrate.phases.smooth_start import SmoothStart
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.multibody.equations.equations import Data
 from torchmbd.multibody.equations.topology import Schedule, Topology
@@ -147,6 +149,13 @@ class Integrator(ABC):
         Numbers of x and of the result carry total derivatives: times may depend on the design. A lane that cannot make its
         step is nan.
         """
+
+    def smooth_start(self, dynamics: Dynamics, x: State, t: Any, h: Any) -> SmoothStart:
+        """From which states steps go on without transients, after a switch or with another size.
+
+        dynamics   not condensed;  x: states at times t [1 + n, lanes];  h: sizes of regular steps
+        """
+        return SmoothStart()
 
     def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates | None:
         """Return estimates of the errors of equal steps of these dynamics; None: the method has none."""

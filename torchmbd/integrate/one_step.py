@@ -33,6 +33,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.integrator import Integrator, Steps
+from torchmbd.integrate.phases.smooth_start import SmoothStart, smooth_start
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.stepper import EagerStepper
 from torchmbd.integrate.variable_step import step_of_size
@@ -103,6 +104,9 @@ class OneStep(Integrator):
 
     def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
         return step_of_size(dynamics, self.weights, x, h, t1, near)
+
+    def smooth_start(self, dynamics: Dynamics, x: State, t: Any, h: Any) -> SmoothStart:
+        return smooth_start(dynamics, self.weights(1.0), x, t, h) if dynamics.topology.rows else SmoothStart()
 
     def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates:
         return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)

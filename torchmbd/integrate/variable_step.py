@@ -208,6 +208,11 @@ def shortly_after(T: Topology, x: State, h: Any) -> State:
     return x._replace(q=q, v=x.v + h * x.vd)
 
 
+def on_the_way(x: State, end: State, share: Any) -> State:
+    """The state x with accelerations and multipliers of a share [1 + n, lanes] of the way to those of the state `end`."""
+    return x._replace(vd=x.vd + share * (end.vd - x.vd), lam=x.lam + share * (end.lam - x.lam))
+
+
 def widened(x: Any, extra: int = 1) -> Any:
     """A number as a pair with further directions in which it does not change."""
     if isinstance(x, Pair):

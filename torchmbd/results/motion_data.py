@@ -76,9 +76,8 @@ class Switch:
 
     t [lanes] (inf: a lane that does not get there), dt_db [lanes, n_b]; before, after: equal positions
 
-    Accelerations and multipliers `before` are those of the last step of the phase, as everywhere in a motion: index-3
-    methods of one step let them ring about their values in the first steps of a phase. Those of `after` solve the
-    equations of motion at t for the positions and velocities there.
+    Accelerations and multipliers `before` are those of the last step of the phase, as everywhere in a motion. Those of
+    `after` solve the equations of motion at t for the positions and velocities there.
     """
 
     phase: str

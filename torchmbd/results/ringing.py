@@ -2,8 +2,9 @@
 
     d_n = (x_(n-1) - 2 x_n + x_(n+1)) / 4        amplitude: sqrt(-d_n . d_(n+1)) where three d in a row change their sign
 
-In the first steps of generalized-alpha multipliers are accurate to first order only and alternate about their values, with an
-amplitude that is their error; so do later those that follow vibrations that the steps do not resolve.
+In the first steps of a motion by generalized-alpha multipliers are accurate to first order only and alternate about their
+values, with an amplitude that is their error; so do later those that follow vibrations that the steps do not resolve. Steps
+after a switch begin from states without this error (integrate/phases/smooth_start.py).
 Source: Arnold, Bruels and Cardona, Numer. Math. 129 (2015) 149-179.
 Checked in tests/results/test_ringing.py.
 """

@@ -90,7 +90,7 @@ def test_time_and_derivative_converge(gradients):
     """A weight n times as large shortens the time by the square root of n: dt/dF = -t / (2 F)."""
     phases = [mbd.Phase(until=mbd.Event(force_of_the_rod)), mbd.Phase(release=["rod"])]
     exact, errors = time_on_the_sphere(), []
-    for steps in (40, 80):
+    for steps in (160, 320):  # of fewer steps the error has parts of higher order
         motion = mbd.simulate(sliding(), 1.2, steps=steps, phases=phases, gradients=gradients).require_ok()
         (switch,) = motion.switches
         if gradients == "forward":
@@ -99,10 +99,10 @@ def test_time_and_derivative_converge(gradients):
         else:
             slope = float(torch.autograd.grad(switch.t.sum(), list(motion.variables.values()))[0])
         time = float(switch.t.detach())
-        assert slope == pytest.approx(time / (4.0 * G), rel=3e-3)
+        assert slope == pytest.approx(time / (4.0 * G), rel=3e-4)
         errors.append(abs(time / exact - 1.0))
         assert force_of_the_rod(motion)[0, : int(time / 1.2 * steps)].abs().min() > 0.1
-    assert errors[1] < 1e-3
+    assert errors[1] < 1e-5
     assert errors[0] / errors[1] == pytest.approx(4.0, abs=0.4)
 
 

@@ -2,7 +2,8 @@
 
 A segment of a lane is three maps, each the discrete one that was integrated:
 
-    entry    (t*, state before) -> marks of locks, jump, impact, accelerations -> state after -> first point of the grid
+    entry    (t*, state before) -> marks of locks, jump, impact, accelerations -> state after -> first point of the grid;
+             (state before) -> first point of the grid, where regular steps go on
     steps    first point of the grid -> ... -> the point at which the last step begins
     exit     that point -> (t*, state at the end of a last step of another size)
 
@@ -31,7 +32,7 @@ from torch import Tensor
 
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid, MotionCotangents
 from torchmbd.integrate.backend import backend_of
-from torchmbd.integrate.lanes import lane_numbers, lanes_of, pick_lanes, pick_states
+from torchmbd.integrate.lanes import lane_numbers, lanes_of, pick_lanes, pick_states, put_states
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.outputs import Outputs
 from torchmbd.integrate.phases.events import Event
@@ -40,11 +41,12 @@ from torchmbd.integrate.phases.last_steps import without_rate
 from torchmbd.integrate.phases.phase_record import PhaseRecord
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.segment import Segment
+from torchmbd.integrate.phases.smooth_start import SmoothStart
 from torchmbd.integrate.phases.switch import data_with_marks
 from torchmbd.integrate.prepared import Prepared
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Weights
-from torchmbd.integrate.variable_step import shortly_after, step_to
+from torchmbd.integrate.variable_step import on_the_way, shortly_after, step_to
 from torchmbd.multibody.equations.equations import ATTACHED, Data
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -159,7 +161,13 @@ class RunAdjoint:
             event = segment.phase.until if isinstance(segment.phase.until, Event) else None
             end = begin + size if event is not None else self.run.end_times(segment, t, leaves.dynamics.data)
             of_size = size if event is not None else end - begin
-            y = step_to(dynamics, self.integrator.weights, base, of_size, end, record.retained(there.x))
+            x, others = base, lane_numbers(~record.ends_on_grid[lanes])
+            if others:
+                start, regular = pick_states(base, others), torch.where(k < 0, 0.0, self.run.times[1])
+                smooth = self._smooth_start(record, lanes_of(leaves.dynamics, others), start, pick_lanes(begin, others))
+                sizes = pick_lanes(of_size, others), pick_lanes(regular, others)
+                x = put_states(base, others, smooth.resized(start, *sizes))
+            y = step_to(dynamics, self.integrator.weights, x, of_size, end, record.retained(there.x))
             y = record.whole(y, end)
             g = None if event is None else leaves.views.of_lanes(event, leaves.dynamics, end, y)
         keys, inputs = list(leaves.leaves), [size, t, *base, *leaves.leaves.values()]
@@ -181,6 +189,9 @@ class RunAdjoint:
         of_start = of_start if c is None else c.of_retained_state(of_start)
         for at_start, cotangent in zip(so_far.start[1:], of_start, strict=True):
             at_start[..., indices] += cotangent
+
+    def _smooth_start(self, record: PhaseRecord, dynamics: Dynamics, x: State, t: Any) -> SmoothStart:
+        return record.smooth_start(self.integrator, dynamics, x, t, self.run.times[1].expand_as(t))
 
     def _steps(self, record: PhaseRecord, so_far: _Cotangents, cotangents: MotionCotangents, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
@@ -371,7 +382,7 @@ class RunAdjoint:
             data = data_with_marks(whole.topology, leaves.dynamics.data, x.q, segment.locks)
             dynamics = lanes_of(record.dynamics, lanes).with_data(data)
             after = run.after(number, leaves.views, every, dynamics, t, x)
-            outputs, of_outputs = self._entered(record, so_far, dynamics, t, after, bar.states)
+            outputs, of_outputs = self._entered(record, so_far, dynamics, t, x, after, bar.states)
             by_t, *by_sides = [None if y is None else rows_first(y, lanes) for y in bar.switches[number - 1]]
             outputs.append(t)
             of_outputs += [None if by_t is None else by_t.reshape(rows, *t.shape), *by_sides]
@@ -391,6 +402,7 @@ class RunAdjoint:
         so_far: _Cotangents,
         dynamics: Dynamics,
         t: Tensor,
+        before: State,
         after: State,
         motion: MotionCotangents,
     ) -> tuple[list[Tensor], list[Tensor | None]]:
@@ -400,25 +412,50 @@ class RunAdjoint:
         of_outputs: list[Tensor | None] = [*(so_far.start or [])]
         first, on_grid = record.first[lanes], record.on_grid[lanes]
         arrivals = so_far.arrival or []
-        direct = lane_numbers(on_grid) if arrivals else []
-        if direct:
-            outputs += record.retained(pick_states(after, direct))
-            of_outputs += [x[..., direct] for x in arrivals]
-        indices = lane_numbers(~on_grid & (first < len(run.times))) if arrivals else []
-        if indices:
-            end, begin = run.times[first[indices]][None], t[:, indices]
-            arrival = pick_states(record.arrival, [lanes[i] for i in indices])
-            some = record.condensed_of(lanes_of(dynamics, indices))
-            x = record.retained(pick_states(after, indices))
-            outputs += step_to(some, self.integrator.weights, x, end - begin, end, arrival)
-            of_outputs += [x[..., indices] for x in arrivals]
+        going_on = lane_numbers(record.goes_on[lanes]) if arrivals else []
+        if going_on:
+            outputs += record.retained(pick_states(before, going_on))
+            of_outputs += [x[..., going_on] for x in arrivals]
         between = run.phase_number[:: run.every, lanes] == record.number
         between &= run.every * torch.arange(len(between))[:, None] < first
+        begun = lane_numbers(~record.goes_on[lanes] & (first < len(run.times)))
+        stepped, reached = [i for i in begun if not bool(on_grid[i])], None
+        if begun and (arrivals or bool(between.any())):
+            some = [lanes[i] for i in begun], lanes_of(dynamics, begun), t[:, begun], pick_states(after, begun)
+            reached, arrived = self._arrived(record, *some)
+            if arrivals:
+                outputs += arrived
+                of_outputs += [x[..., begun] for x in arrivals]
         for k in lane_numbers(between.any(1)):
-            y = record.retained(shortly_after(dynamics.topology, after, float(run.kept_times[k]) - t))
+            h = float(run.kept_times[k]) - t
+            y = record.retained(shortly_after(dynamics.topology, after, h))
+            if reached is not None and stepped:
+                share = h[:, stepped] / (run.times[first[stepped]] - t[:, stepped])
+                ends = pick_states(y, stepped), pick_states(reached, [begun.index(i) for i in stepped])
+                y = put_states(y, stepped, on_the_way(*ends, share))
             for i, (part, cotangent) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
                 if cotangent is not None:
                     outputs.append(part)
                     x = rows_first(self._of_steps(record, i, cotangent[k : k + 1])[0], lanes)
                     of_outputs.append(torch.where(between[k], x, 0.0))
         return outputs, of_outputs
+
+    def _arrived(
+        self, record: PhaseRecord, lanes: Sequence[int], dynamics: Dynamics, t: Tensor, after: State
+    ) -> tuple[State, State]:
+        """Condensed states of lanes at their first points of the grid, as reached and as regular steps go on from them."""
+        start, regular, on_grid = record.retained(after), self.run.times[1], record.on_grid[lanes]
+        smooth, stepped = self._smooth_start(record, dynamics, start, t), lane_numbers(~on_grid)
+        reached, arrived = start, smooth.resized(start, regular)
+        if stepped:
+            of_lanes = [lanes[i] for i in stepped]
+            end, condensed = (
+                self.run.times[record.first[of_lanes]][None],
+                record.condensed_of(lanes_of(dynamics, stepped)),
+            )
+            size, part = end - t[:, stepped], smooth.lanes(stepped)
+            x, there = part.resized(pick_states(start, stepped), size), pick_states(record.arrival, of_lanes)
+            x = step_to(condensed, self.integrator.weights, x, size, end, there)
+            reached = put_states(reached, stepped, x)
+            arrived = put_states(arrived, stepped, part.resized(x, regular, size))
+        return reached, arrived

@@ -10,14 +10,14 @@ Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.integrator import Integrator
-from torchmbd.integrate.lanes import lanes_of, pick_states, put_states
+from torchmbd.integrate.lanes import lanes_of, pick_lanes, pick_states, put_states
 from torchmbd.integrate.phases.events import Event, Views
 from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.variable_step import narrowed, widened, widened_data
@@ -43,23 +43,28 @@ def located(
     record: PhaseRecord,
     integrator: Integrator,
     views: Views,
+    h: Any,
+    before: Any,
 ) -> tuple[PhaseExit, Tensor]:
     """Where the event's function of some lanes vanishes after their bases, and which lanes found it.
 
     base, bracket   of these lanes
+    h, before       sizes of regular steps, and of the steps before the last ones [1 + n, lanes]
 
     With tangents, times at which the function has no rate are nan: they have no derivatives.
     """
     whole, condensed = (lanes_of(d, lanes).values() for d in (record.dynamics, record.condensed))
     start, t = base.x.values(), value(base.t)
-    near = start
+    known = value(before)
+    near, smooth = start, record.smooth_start(integrator, whole, start, t, value(h))
 
     def function(size: Tensor, some: list[int]) -> Tensor:
         """The function after steps of some of the lanes; `near` are the states there."""
         nonlocal near
         end, of_some = t[:, some] + size, [lanes[k] for k in some]
         estimate = pick_states(near, some)
-        y = integrator.step_of_size(lanes_of(condensed, some), pick_states(start, some), size[None], end, estimate)
+        x = smooth.lanes(some).resized(pick_states(start, some), size[None], pick_lanes(known, some))
+        y = integrator.step_of_size(lanes_of(condensed, some), x, size[None], end, estimate)
         near = put_states(near, some, y)
         return views.value(event, of_some, lanes_of(whole, some), end, record.whole(y, end))
 
@@ -69,13 +74,14 @@ def located(
     size, enclosed = roots(function, low, high, g_low, g_high)
     end = t + size
     if not isinstance(base.t, Pair):  # the step that has tangents where there are some: the same to the last digit
-        y = integrator.step_of_size(condensed, start, size[None], end, near)
+        y = integrator.step_of_size(condensed, smooth.resized(start, size[None], known), size[None], end, near)
         return PhaseExit(end, record.whole(y, end)), enclosed & finite_lanes(y)
     whole, condensed = (widened_data(lanes_of(d, lanes)) for d in (record.dynamics, record.condensed))
-    h = widened(widened(size[None], base.t.shape[0] - 1))
-    h.full[-1] = 1.0  # its own direction
-    x, end = base.x.map(widened), widened(base.t) + h
-    y = integrator.step_of_size(condensed, x, h, end, near)
+    size = widened(widened(size[None], base.t.shape[0] - 1))
+    size.full[-1] = 1.0  # its own direction
+    x, end = base.x.map(widened), widened(base.t) + size
+    smooth = record.smooth_start(integrator, whole, x, widened(base.t), widened(h))
+    y = integrator.step_of_size(condensed, smooth.resized(x, size, widened(before)), size, end, near)
     _, slope = views.slopes(event, lanes, whole, end, record.whole(y, end))
     rate = -slope[:-1] / slope[-1]
     end = narrowed(end, rate)

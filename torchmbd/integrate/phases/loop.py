@@ -4,10 +4,12 @@
     t_k - t*                        the first step of the next one, back to the grid
 
 All steps are those of the condensed system of the segment: regular ones by the stepper of the integrator, many at a time
-(regular_steps.py), those of other sizes by `Integrator.step_of_size`. They are differentiated as they stand: sizes are numbers
-with design tangents. What the adjoint needs is recorded (`PhaseRecord`).
+(regular_steps.py), those of other sizes by `Integrator.step_of_size`. After a switch, and where the size changes, steps begin
+from the states of `Integrator.smooth_start`; regular steps that end at a switch that changes nothing go on as they were. Steps
+are differentiated as they stand: sizes are numbers with design tangents. What the adjoint needs is recorded (`PhaseRecord`).
 Steps that are too short for the integrator are not made: the last step of a phase begins one point of the grid earlier instead,
-the first one ends one later, and the points between take the first terms of the Taylor series from the switch.
+the first one ends one later, and the points between take the first terms of the Taylor series from the switch, accelerations
+and multipliers on the way to those of the first step.
 
 All lanes are stepped together through one phase; the numbers of those that left it, or have not entered it yet, are not used.
 A motion without switches is a single phase, which all lanes enter at the start and none leaves.
@@ -39,8 +41,10 @@ from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.short_events import ShortEvents, ShortEventSearch, near_zero
+from torchmbd.integrate.phases.smooth_start import SmoothStart
 from torchmbd.integrate.statistics import Statistics
-from torchmbd.integrate.variable_step import MovingSteps, shortly_after
+from torchmbd.integrate.variable_step import MovingSteps, on_the_way, shortly_after
+from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.saddle.expansion import Expansion
@@ -86,7 +90,12 @@ class _PhaseLoop:
         self.event = self.segment.phase.until if isinstance(self.segment.phase.until, Event) else None
         self.is_of_instants = False  # not known yet whether the event's function is
         on_grid = torch.tensor([self._on_grid(lane, int(k)) for lane, k in enumerate(self.first)])
-        self.record = PhaseRecord(number, self.dynamics, self.condensed, entry, x, start_of_steps, self.first, on_grid)
+        goes_on = torch.zeros_like(self.alive)
+        if number and bool((before := multiphase.records[-1].ends_on_grid).any()):
+            goes_on = before & multiphase.goes_on(number, self.dynamics, entry)
+        self.record = PhaseRecord(
+            number, self.dynamics, self.condensed, entry, x, start_of_steps, self.first, on_grid, goes_on
+        )
         self.search = None
         if self.event is not None:
             self.search = ShortEventSearch(self.event, self.record, self.integrator, multiphase.views, self.times)
@@ -107,8 +116,8 @@ class _PhaseLoop:
             if self.multiphase.duration_moves
             else self.integrator.stepper(self.condensed, self.h)
         )
-        self._record_shortly_after()
         self._arrive()
+        self._record_shortly_after()
         inside = torch.zeros_like(self.alive)
         while i <= last:
             arriving = lane_numbers(self.alive & (self.first == i))
@@ -299,12 +308,27 @@ class _PhaseLoop:
 
     def _arrive(self) -> None:
         """Find the states of lanes at their first point of the grid, and events in the steps to it."""
-        lanes = lane_numbers(self.alive & (self.first < len(self.times)) & ~self.record.on_grid)
+        record, arriving = self.record, self.alive & (self.first < len(self.times))
+        going_on = lane_numbers(arriving & record.goes_on)
+        if going_on:
+            before = record.retained(pick_states(record.entry.x, going_on))
+            record.arrival = put_states(record.arrival, going_on, before)
+        entering = arriving & ~record.goes_on
+        begun = lane_numbers(entering if self.number else entering & ~record.on_grid)
+        if not begun:
+            return
+        start, regular = PhaseExit(self.entry.t, record.start_of_steps).lanes(begun), self._regular_size(begun)
+        smooth = self._smooth_start(begun, start)
+        record.arrival = put_states(record.arrival, begun, smooth.resized(start.x, regular))
+        lanes = lane_numbers(arriving & ~record.on_grid)
         if not lanes:
             return
-        entry = PhaseExit(pick_lanes(self.entry.t, lanes), self.record.retained(pick_states(self.entry.x, lanes)))
+        some = [begun.index(lane) for lane in lanes]
+        entry, smooth, regular = start.lanes(some), smooth.lanes(some), pick_lanes(regular, some)
         end = self.multiphase.grid_times(self.first[lanes], entry.t)
-        x = self.integrator.step_of_size(lanes_of(self.condensed, lanes), entry.x, end - entry.t, end)
+        size = end - entry.t
+        x = self.integrator.step_of_size(lanes_of(self.condensed, lanes), smooth.resized(entry.x, size), size, end)
+        x = smooth.resized(x, regular, size)
         self.record.arrival = put_states(self.record.arrival, lanes, x)
         self._fail(~finite_lanes(x), lanes, "first", entry, value(end)[0])
         self.alive[lanes] = self.alive[lanes] & finite_lanes(x)
@@ -326,6 +350,19 @@ class _PhaseLoop:
             events = self.search.in_steps(some, begin, size, ends, (before[near], after[near]))
             self.first_events = events.in_lanes(some, self.lanes)
 
+    def _regular_size(self, lanes: list[int]) -> Any:
+        """Size of regular steps of some lanes [1 + n, lanes]."""
+        return self.multiphase.grid_times(torch.tensor(1), pick_lanes(self.entry.t, lanes))
+
+    def _size_before(self, lanes: list[int]) -> Any:
+        """Size of the steps before the last ones [1 + n, lanes]; zero where these begin at the switch."""
+        return self._regular_size(lanes) * (self.record.base_point[lanes] >= 0).double()
+
+    def _smooth_start(self, lanes: list[int], start: PhaseExit) -> SmoothStart:
+        """Of some lanes in condensed states."""
+        of_lanes = lanes_of(self.dynamics, lanes), start.x, start.t, self._regular_size(lanes)
+        return self.record.smooth_start(self.integrator, *of_lanes)
+
     def _fail(self, failed: Tensor, lanes: list[int], which: str, start: PhaseExit, end: Tensor) -> None:
         """Note that the first or the last step of a phase, from `start` to times `end`, does not converge in some lanes."""
         for i in lane_numbers(failed):
@@ -343,6 +380,12 @@ class _PhaseLoop:
         for k in lane_numbers(between.any(1)):
             h = self._time(k) - self.entry.t
             x = self.record.retained(shortly_after(self.dynamics.topology, self.entry.x, h))
+            lanes = lane_numbers(between[k] & (self.first < len(self.times)))
+            if lanes:
+                h, t = pick_lanes(h, lanes), pick_lanes(self.entry.t, lanes)
+                share = h * reciprocal(self.multiphase.grid_times(self.first[lanes], t) - t)
+                ends = pick_states(x, lanes), pick_states(self.record.arrival, lanes)
+                x = put_states(x, lanes, on_the_way(*ends, share))
             self._record(k, History.of([x]), between[k][None], between[k][None])
 
     def _start_values(self) -> Tensor:
@@ -366,6 +409,12 @@ class _PhaseLoop:
         if self.ends is None:
             return torch.zeros(len(t), self.lanes, dtype=torch.bool)
         return t > value(self.ends)[0] - self.short * self.h
+
+    def _ends_at(self, i: int) -> Tensor:
+        """True if the phase of lanes ends at a point of the grid, whatever the design [lanes]."""
+        if self.ends is None or self.multiphase.end_depends(self.number):
+            return torch.zeros_like(self.alive)
+        return (self.times[i] - value(self.ends)[0]).abs() < _SAME * self.h
 
     def _beyond(self, i: int) -> Tensor:
         """Which of the leaving lanes had left before a point of the grid."""
@@ -404,6 +453,7 @@ class _PhaseLoop:
             t, x = pick_lanes(t, some), pick_states(x, some)
             record.base, self.base_time = put_states(record.base, some, x), put_lanes(self.base_time, some, t)
         record.has_exit[lanes], record.base_point[lanes] = True, points
+        record.ends_on_grid[lanes] = (points == i - 1) & self._ends_at(i)[lanes]
         earlier = begin - value(self.base_time)[0, lanes]
         for total, x in zip(self.bracket, (low + earlier, high + earlier, g_low, g_high), strict=True):
             total[lanes] = x
@@ -413,11 +463,18 @@ class _PhaseLoop:
         record, bracket = self.record, Bracket(*(x[lanes] for x in self.bracket))
         base = PhaseExit(pick_lanes(self.base_time, lanes), pick_states(record.base, lanes))
         if self.event is None:
-            end = pick_lanes(self.ends, lanes)
-            y = self.integrator.step_of_size(lanes_of(self.condensed, lanes), base.x, end - base.t, end)
+            end, x = pick_lanes(self.ends, lanes), base.x
+            others = lane_numbers(~record.ends_on_grid[lanes])
+            if others:
+                start, some = base.lanes(others), [lanes[i] for i in others]
+                sizes = pick_lanes(end - base.t, others), self._size_before(some)
+                x = put_states(x, others, self._smooth_start(some, start).resized(start.x, *sizes))
+            y = self.integrator.step_of_size(lanes_of(self.condensed, lanes), x, end - base.t, end)
             there, success = PhaseExit(end, record.whole(y, end)), finite_lanes(y)
         else:
-            there, success = located(self.event, lanes, base, bracket, record, self.integrator, self.multiphase.views)
+            sizes = self._regular_size(lanes), self._size_before(lanes)
+            of_lanes = lanes, base, bracket, record, self.integrator, self.multiphase.views
+            there, success = located(self.event, *of_lanes, *sizes)
         self._fail(~success, lanes, "last", base, value(base.t)[0] + bracket.high)
         for i in lane_numbers(success & ~torch.isfinite(value(there.t)[0])):
             self.multiphase.failed_for_good.add(lanes[i])

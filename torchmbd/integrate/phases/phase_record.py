@@ -12,7 +12,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lanes import pick_lanes, pick_states
+from torchmbd.integrate.phases.smooth_start import SmoothStart
 from torchmbd.math.pair import linear, value
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -39,10 +41,12 @@ class PhaseRecord:
     first       the first point of the grid that a lane steps to [lanes]
     on_grid     whether the state there is `start` itself [lanes]
     start_of_steps  `start` as a condensed state
-    arrival     the condensed state there, of lanes that get there
+    goes_on     whether regular steps go on as if there were no switch: it changes nothing, and one of them ends there [lanes]
+    arrival     the condensed state there, from which regular steps go on, of lanes that get there
     exit        where lanes left the phase, with the multipliers of retained rows;  has_exit: which did [lanes]
     base_point  the point of the grid at which their last step begins (-1: at `start`) [lanes]
     base        the condensed state there
+    ends_on_grid  whether this step is a regular one, whatever the design [lanes]
     checkpoints  algorithmic accelerations [n_v, 1, lanes] at points of the grid from which steps can be made again
     restarts    points at which lanes arrived, and the stepper discarded what it keeps of all lanes
     """
@@ -55,6 +59,7 @@ class PhaseRecord:
     start_of_steps: State
     first: Tensor
     on_grid: Tensor
+    goes_on: Tensor
     checkpoints: dict[int, Tensor] = field(default_factory=dict)
     restarts: list[int] = field(default_factory=list)
     arrival: State = field(init=False)
@@ -65,13 +70,21 @@ class PhaseRecord:
         self.arrival = self.base = self.start_of_steps
         never = linear(torch.zeros_like, self.entry.t)
         self.exit = PhaseExit(never + torch.full_like(value(never), torch.inf), self.start._replace(lam=self.base.lam))
-        self.has_exit = torch.zeros_like(self.on_grid)
+        self.has_exit, self.ends_on_grid = torch.zeros_like(self.on_grid), torch.zeros_like(self.on_grid)
         self.base_point = torch.full_like(self.first, -1)
 
     @property
     def condensation(self) -> Condensation | None:
         """Of the regular steps; None: they are those of the whole system."""
         return None if self.condensed is self.dynamics else self.condensed.initial.condensation
+
+    def smooth_start(self, integrator: Integrator, dynamics: Dynamics, x: State, t: Any, h: Any) -> SmoothStart:
+        """Of condensed states x of some lanes at times t (Integrator.smooth_start).
+
+        dynamics   of these lanes;  h: sizes of regular steps [1 + n, lanes]
+        """
+        start, c = integrator.smooth_start(dynamics, self.whole(x, t), t, h), self.condensation
+        return start if c is None else start.map(lambda y: y.index_select(0, c.independent))
 
     def condensed_of(self, dynamics: Dynamics) -> Dynamics:
         """The dynamics of the regular steps, of some lanes with other data."""

@@ -26,6 +26,7 @@ from torchmbd.integrate.phases.switch import (
     data_with_marks,
     entered,
     jump,
+    laws_jump,
     velocities_after_impact,
 )
 from torchmbd.integrate.prepared import Prepared, detached, of_leaves, prepare, prepare_whole
@@ -85,10 +86,8 @@ class MultiphaseRun:
         self.recorded = self.first.condensed if self.keeps_equations else self.whole
         # Whether the time at which a phase begins depends on the design.
         self.begin_depends = [False]
-        for segment in self.segments[:-1]:
-            until = segment.phase.until
-            depends = isinstance(until, Event) or DURATION in self.whole.data or segment.time_name in self.whole.data
-            self.begin_depends.append(depends or (until is None and self.begin_depends[-1]))
+        for number in range(len(self.segments) - 1):
+            self.begin_depends.append(self.end_depends(number))
         self.entered: list[Prepared] = []
         self._least_norm: dict[int, LeastNorm | None] = {}
         self.states = Record.of_dynamics(self.recorded, self.steps // self.every + 1)
@@ -127,6 +126,13 @@ class MultiphaseRun:
         state = self._entered(0, lanes, dynamics, PhaseExit(t, before))
         retained = state if of_steps is dynamics else of_steps.initial.condensation.retained_state(state)
         return Prepared(dynamics, of_steps, retained, state)
+
+    def end_depends(self, number: int) -> bool:
+        """True if the time at which a phase ends depends on the design."""
+        segment, data = self.segments[number], self.whole.data
+        if segment.ends_by_event or DURATION in data or segment.time_name in data:
+            return True
+        return segment.phase.until is None and self.begin_depends[number]
 
     @property
     def duration_moves(self) -> bool:
@@ -248,6 +254,17 @@ class MultiphaseRun:
             )
         )
         return self.entered[-1]
+
+    def goes_on(self, number: int, dynamics: Dynamics, phase_exit: PhaseExit) -> Tensor:
+        """Which lanes enter a phase whose equations and laws are those of before, at times at which no law jumps [lanes]."""
+        result = torch.zeros(self.whole.lanes, dtype=torch.bool)
+        segment, before = self.segments[number], self.segments[number - 1] if number else None
+        lanes = lane_numbers(self.entered_lanes(phase_exit))
+        if lanes and before is not None and before.phase.impact is None and segment.has_equations_of(before):
+            t, x = phase_exit.lanes(lanes)
+            h = self.duration / self.steps
+            result[lanes] = ~laws_jump(lanes_of(dynamics, lanes).values(), value(t), h, x.values())
+        return result
 
     def _dynamics_of(self, number: int) -> tuple[Dynamics, Dynamics]:
         """The dynamics of a phase and those of its regular steps: of an earlier phase with the same equations and data."""

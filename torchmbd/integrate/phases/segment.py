@@ -66,6 +66,14 @@ class Segment:
         """Name, in the data, of its end or its duration, if the motion has a gradient with respect to this time."""
         return f"end of phase {self.name}"
 
+    def has_equations_of(self, other: Segment) -> bool:
+        """True if the same rows and laws act in another one, and no lock, which would hold other positions."""
+        same_unknowns = Condensation.are_alike(self.condensation, other.condensation)
+        if self.rows != other.rows or self.locks or other.locks or not same_unknowns:
+            return False
+        pairs = zip(self.topology.actions, other.topology.actions, strict=True)
+        return all(a is b for x, y in pairs for a, b in zip(x.laws, y.laws, strict=True))
+
     @property
     def ends_by_event(self) -> bool:
         """True if a function of the motion ends it: of designs and mode shapes as well."""

@@ -34,6 +34,9 @@ from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
 from torchmbd.results.state import State
 from torchmbd.results.trajectory import Trajectory
 
+_BESIDE = 1e-6  # of a step: from a switch to both sides of it
+_JUMP = 1e-4  # of the largest rate or acceleration: less is lost in what steps leave
+
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
@@ -114,6 +117,18 @@ def entered(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
     solver = SaddleSolver(dynamics, t, q)
     (v,) = jump(dynamics, t, q, v, solver)
     return v, *dynamics.accelerations(t, q, v, solver)
+
+
+def laws_jump(dynamics: Dynamics, t: Tensor, h: float, x: State) -> Tensor:
+    """Whether drives or forces that depend on time jump at times t [1, lanes], for a state x without tangents [lanes].
+
+    h   size of a regular step [s]
+    """
+    before, after = (entered(dynamics, t[0] + sign * _BESIDE * h, x.q, x.v)[:2] for sign in (-1.0, 1.0))
+    jumps = torch.zeros_like(t[0], dtype=torch.bool)
+    for a, b in zip(before, after, strict=True):
+        jumps |= ((a - b).abs() > _JUMP * a.abs().maximum(b.abs()).amax(0)).flatten(0, 1).any(0)
+    return jumps
 
 
 def jump(dynamics: Dynamics, t: Tensor, q: Any, v: Any, solver: SaddleSolver | None = None) -> tuple:

@@ -52,6 +52,13 @@ class Condensation:
     rows: Tensor
     independent: Tensor
 
+    @staticmethod
+    def are_alike(a: Condensation | None, b: Condensation | None) -> bool:
+        """True if two of systems with the same rows keep the same bodies, rates and rows; None: all."""
+        if a is None or b is None:
+            return a is b
+        return a.bodies == b.bodies and torch.equal(a.rows, b.rows) and torch.equal(a.independent, b.independent)
+
     @cached_property
     def whole_saddle(self) -> Saddle:
         """Of the whole topology."""

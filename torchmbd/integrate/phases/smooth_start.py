@@ -1,0 +1,128 @@
+"""States from which steps of a size go on without transients: after switches, and where the size of the steps changes.
+
+One-step methods keep the constraints at positions, not at rates. Along a smooth motion with the jerk v'' the accelerations of
+the method and the rates of the step are
+
+    a = v' + D h v''        D = am - af
+    v + h^2 d               d = (1/6 - D/2 - beta) v'' + om x om' / 12
+
+so that q1 = q0 o exp(h v + h^2/2 v' + h^3 (D/2 + beta) v'') is the position at the end of the step: what the weights leave of
+h^3/6 v'', and the third term of the motion on the Lie group, which turns have. Steps that begin with a = v' and with rates that
+keep the constraints excite a mode of the multipliers with the factor of infinite frequency, about -0.9, three times over: an
+error of order h that changes its sign in every step and grows for some, while coordinates stay of order h^2.
+
+Only the shares along M^-1 Phi_q' are needed, so the jerk is that of the constraints alone:
+
+    M v'' + Phi_q' mu = 0,   Phi_q v'' = 6/h^3 (Phi + h Phi' + h^2/2 Phi'' - Phi(q o exp(h v + h^2/2 v' + h^3/12 om x om')))
+    M d + Phi_q' nu = 0,     Phi_q d = Phi_q (...)
+
+No force enters, and no vibration of a body: a frequency that the steps do not resolve gets no large acceleration.
+What a step itself leaves stays: of order h^2 in all numbers.
+Source: Arnold and Bruels, Multibody Syst. Dyn. 18 (2007) 185-202 (a at the start); Arnold, Bruels, Cardona, Numer. Math. 129
+(2015) 149-179 (order of the multipliers, rates at the start); both for starts of a motion.
+Checked in tests/integrate/phases/test_smooth_start.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.lanes import pick_lanes
+from torchmbd.integrate.step import Weights
+from torchmbd.math.elementwise import reciprocal
+from torchmbd.math.jet import Jet
+from torchmbd.math.pair import cat, cross, linear
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.equations import Data, Placement
+from torchmbd.multibody.equations.times_as_lanes import at_own_times, at_time
+from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
+from torchmbd.results.state import State
+
+
+class SmoothStart(NamedTuple):
+    """How states of lanes differ between steps of different sizes; of methods without this difference all is zero.
+
+    jerk    along M^-1 Phi_q' [n_v, ...];  offset: d [n_v, ...];  lag: D
+    """
+
+    jerk: Any = 0.0
+    offset: Any = 0.0
+    lag: float = 0.0
+
+    def resized(self, x: State, h: Any, before: Any = 0.0) -> State:
+        """States from which steps of sizes h [1 + n, lanes] go on.
+
+        before   size of the steps that led to x; zero: its rates keep the constraints, and a = v'
+        """
+        v = x.v + (h * h - before * before) * self.offset
+        return x._replace(v=v, a=x.a + (self.lag * (h - before)) * self.jerk)
+
+    def map(self, f: Callable[[Any], Any]) -> SmoothStart:
+        """The same with f of jerk and offset, where there are any."""
+        if isinstance(self.jerk, float):
+            return self
+        return self._replace(jerk=f(self.jerk), offset=f(self.offset))
+
+    def lanes(self, lanes: Sequence[int]) -> SmoothStart:
+        """Of some lanes."""
+        return self.map(lambda y: pick_lanes(y, lanes))
+
+
+def smooth_start(dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart:
+    """Of lanes of a system that is not condensed, near states x at times t [1 + n, lanes].
+
+    weights   of a step of size one
+    h         sizes of regular steps [1 + n, lanes], over which the third rates are found from positions
+    """
+    lag = (weights.share - 1.0) / (1.0 - weights.a_from_a)
+    rest = 1.0 / 6.0 - 0.5 * lag - weights.step_from_new
+
+    def of_time(dynamics: Dynamics, t: Tensor, q: Any, v: Any, vd: Any, h: Any) -> tuple:
+        T, solver = dynamics.topology, SaddleSolver(dynamics, t, q)
+
+        def third_rates(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any, y: Any) -> Any:
+            cube = h * h * h
+            step = h * v + (0.5 * h * h) * vd + ((1.0 / 12.0) * cube) * _turning(T, v, vd)
+            end = equations.placement(T, data, equations.advance(T, q, step), at_own_times(T, t[None] + h, data))
+            phi = equations.constraint_jets(T, at, data, v, vd, t)  # what a step leaves of the rates is no third rate
+            third = equations.constraints(T, end) - phi.value - h * phi.velocity - (0.5 * h * h) * phi.acceleration
+            return _gradients(T, data, at, y) + (6.0 * reciprocal(cube)) * third
+
+        def offsets(data: Data, at: Placement, q: Any, v: Any, vd: Any, jerk: Any, y: Any) -> Any:
+            return _gradients(T, data, at, y - rest * jerk - _turning(T, v, vd) * (1.0 / 12.0))
+
+        jerk = _of_constraints(solver, T, third_rates, v, vd, h)
+        return jerk, _of_constraints(solver, T, offsets, v, vd, jerk)
+
+    jerk, offset = at_time(of_time, dynamics, t, x.q, x.v, x.vd, h)
+    return SmoothStart(jerk, offset, lag)
+
+
+def _of_constraints(solver: SaddleSolver, T: Topology, rows: Callable[..., Any], *state: Any) -> Any:
+    """y [n_v, ...] along M^-1 Phi_q' with rows(data, placement, q, *state, y) = 0."""
+
+    def residual(data: Data, at: Placement, q: Any, *numbers: Any) -> Any:
+        *state, x = numbers
+        return cat([equations.impulses(T, data, at, x[: T.n_v], x[T.n_v :]), rows(data, at, q, *state, x[: T.n_v])])
+
+    return solver(residual, *state)[: T.n_v]
+
+
+def _gradients(T: Topology, data: Data, at: Placement, y: Any) -> Any:
+    """Phi_q y [rows, ...]."""
+    still = linear(torch.zeros_like, y)
+    laws = [(drive or ())[: p.driven] for p, drive in zip(T.primitives, at.drives, strict=True)]
+    drives: list[tuple | None] = [tuple(Jet(x, x * 0.0, x * 0.0) for x in law) or None for law in laws]
+    return equations.driven_jets(T, at, data, y, still, drives).velocity
+
+
+def _turning(T: Topology, v: Any, vd: Any) -> Any:
+    """om x om' as rates [n_v, ...]."""
+    turning = cross(equations.split_v(T, v)[1], equations.split_v(T, vd)[1])
+    n, still = 3 * T.bodies, linear(torch.zeros_like, v)
+    return cat([still[:n], turning.flatten(0, 1), still[2 * n :]])
