@@ -34,13 +34,13 @@ def status(system: mbd.System, steps: int | None, duration: float = 1.0, **optio
 
 
 @pytest.mark.parametrize("turns", [False, True])
-@pytest.mark.parametrize("mass", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("mass", [1e-3, 1e3])
 def test_less_than_five_steps_to_a_period_are_unresolved(turns, mass) -> None:
     for steps in (5, 20, 40):
         told = status(block(mass=mass, turns=turns), steps)
         assert told.startswith("unresolved: ")
         assert "10 Hz" in told
-    for steps in (80, 400):
+    for steps in (80, 160):
         assert status(block(mass=mass, turns=turns), steps) == "ok"
 
 
@@ -68,3 +68,10 @@ def test_phases_change_nothing(change) -> None:
     phases = [mbd.Phase(until=0.3, **change), mbd.Phase()]
     assert "10 Hz" in status(both, 20, phases=phases)
     assert status(both, 160, phases=phases) == "ok"
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_steps_that_are_chosen_resolve_a_vibration(turns) -> None:
+    motion = mbd.simulate(block(turns=turns), 60.0, gradients="none")
+    assert motion.status == ["ok"]
+    assert motion.stats["steps"] > 5 * 60.0 * FREQUENCY

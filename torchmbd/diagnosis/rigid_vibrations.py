@@ -1,15 +1,14 @@
 """Steps that do not resolve the vibrations of rigid bodies on springs.
 
-    share = sum |d_n| / sum |a_n|,   d_n = (a_(n-1) - 2 a_n + a_(n+1)) / 4        norms: |a|^2 = m |r''|^2 + tr P0 |omega'|^2
-
-    P0    second moment of the mass about the origin of a body [kg m2]
+    share = sum |d_n| / sum |a_n|,   d_n = (a_(n-1) - 2 a_n + a_(n+1)) / 4   norms: integrate/estimates.py
 
 A vibration of phi radians in a step has the share sin^2(phi / 2): `ALTERNATION`, 0.3, is that of five steps to a period. The
 share counts vibrations by their size, so those that nothing excites count as none. A lane with a larger share is
 unresolved if the motion, linearized where its accelerations alternate most, has a vibration of less than _STEPS steps to a
 period. Loads that change from step to step, and accelerations that jump, have large shares without such a vibration.
 
-The estimates of the steps (integrate/estimates.py) do it for flexible bodies and for beams.
+The estimates of the steps do it for flexible bodies and for beams; steps that `simulate` chooses have smaller shares
+(integrate/step_count.py).
 Checked in tests/diagnosis/test_rigid_vibrations.py.
 """
 
@@ -23,8 +22,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import DesignFailure
+from torchmbd.integrate.estimates import rigid_alternations
 from torchmbd.integrate.lane_status import ALTERNATION, UNRESOLVED, warn_unresolved
-from torchmbd.math.pair import value
 from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations
 from torchmbd.results.lane_motion import lane_motion
 from torchmbd.results.motion_data import OK
@@ -34,7 +33,6 @@ from torchmbd.results.trajectory import Trajectory
 _STEPS = 7.0  # to a period: the stiffness changes along a motion, and 5 steps have the limit of the share
 _GOOD = 40.0  # steps to a period whose phase is 1 % off after five periods
 _EQUAL = 1e-6  # of a step: rounding of times
-_ROUNDING = 1e-10  # of coordinates by the square of a step, as of the iterations of steps (integrate/statistics.py)
 
 
 def mark_vibrations(motion: Trajectory) -> None:
@@ -86,21 +84,15 @@ def alternations(motion: Trajectory) -> tuple[Tensor, Tensor]:
     """|d_n| and |a_n| at the inner times [lanes, times - 2] [kg^1/2 m/s2], zero beside switches; |d_n| is zero where it is
     rounding.
     """
-    data, n, t = motion.dynamics.data, motion.dynamics.topology.bodies, motion.t
-    mass = value(data["mass"])[:, 0].T[:, None, None].sqrt()  # [lanes, 1, 1, bodies]
-    turning = value(data["P0"])[:, :, :, 0].diagonal().sum(-1).T[:, None, None].sqrt()
-    points, turns = (motion.a[..., i * n : (i + 3) * n].unflatten(-1, (3, n)) for i in (0, 3))
-    a = torch.cat([points * mass, turns * turning], -1).flatten(-2)
-    d = 0.25 * (a[:, 2:] - 2.0 * a[:, 1:-1] + a[:, :-2])
-    change, size = d.norm(dim=-1), a[:, 1:-1].norm(dim=-1)
+    t, n = motion.t, motion.dynamics.topology.bodies
+    change, size = rigid_alternations(
+        motion.dynamics, motion.a, motion.q[..., : 3 * n].abs().amax(), motion.stats["step_size"]
+    )
     h = t[2:] - t[1:-1]
     inner = (((t[1:-1] - t[:-2]) - h).abs() <= _EQUAL * h).expand_as(change).clone()
     for switch in motion.switches:
         inner &= (switch.t[:, None] < t[:-2]) | (t[2:] < switch.t[:, None])
-    rounding = (
-        _ROUNDING / h.clamp_min(torch.finfo(h.dtype).tiny) ** 2 * mass.amax() * motion.q[..., : 3 * n].abs().amax()
-    )
-    return torch.where(inner & (change > rounding), change, 0.0), torch.where(inner, size, 0.0)
+    return torch.where(inner, change, 0.0), torch.where(inner, size, 0.0)
 
 
 def _largest_frequency(motion: Trajectory, lane: int, time: int) -> float:

@@ -160,6 +160,22 @@ def alternations(dynamics: Dynamics, history: History) -> Tensor:
     return torch.stack([torch.where(change > _acceleration_by_rounding(dynamics, history), change, 0.0), size])
 
 
+def rigid_alternations(dynamics: Dynamics, a: Tensor, far: Tensor, h: float) -> tuple[Tensor, Tensor]:
+    """As `alternations`, of accelerations a [lanes, times, n_v] of rigid bodies [lanes, times - 2] [kg^1/2 m/s2].
+
+    |a|^2 = m |r''|^2 + tr P0 |omega'|^2, with the second moments P0 of the mass about the origins of bodies
+
+    far  largest coordinate of the motion [m], whose rounding does not count;  h: size of a step [s]
+    """
+    points, rotations, _ = split_v(dynamics.topology, a.movedim(-1, 0))  # [3, bodies, lanes, times]
+    mass = value(dynamics.data["mass"])[:, 0, :, None].sqrt()
+    arm = value(dynamics.data["P0"])[:, :, :, 0].diagonal().sum(-1)[..., None].sqrt()
+    x = torch.cat([points * mass, rotations * arm]).flatten(0, 1)
+    change = 0.25 * (x[..., 2:] - 2.0 * x[..., 1:-1] + x[..., :-2]).norm(dim=0)
+    rounding = ROUNDING / h**2 * mass.amax() * far
+    return torch.where(change > rounding, change, 0.0), x[..., 1:-1].norm(dim=0)
+
+
 def _acceleration_by_rounding(dynamics: Dynamics, history: History) -> Tensor:
     """Largest acceleration of nodes by the elements of beams, where their places are rounded [lanes] [m/s2]."""
     T, data = dynamics.topology, dynamics.data

@@ -3,6 +3,7 @@
     first   enough to follow loads and drives as functions of time: straight lines between the steps are off by 1 % (L1 norm);
             at least 200, without flexible bodies 1000
     then    as many as the estimated error of a step asks for (estimates.py), and contacts (contacts.py), until both are met
+    then    four times as many while accelerations of rigid bodies on springs alternate from step to step
     most    20 per period of the fastest retained mode: every mode is resolved
 
 Some steps end where held values of a controller change (jumps.py).
@@ -20,11 +21,11 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.estimates import GOOD_STEP
+from torchmbd.integrate.estimates import GOOD_STEP, rigid_alternations
 from torchmbd.integrate.held_times import held_times_of, steps_at
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
-from torchmbd.integrate.lane_status import status_of_lanes
+from torchmbd.integrate.lane_status import ALTERNATION, status_of_lanes
 from torchmbd.integrate.ode import fastest_vibration
 from torchmbd.integrate.statistics import TURN
 from torchmbd.multibody.equations import equations
@@ -71,6 +72,8 @@ def choose_steps(
         status = status_of_lanes(result.history, duration, result.statistics)
         status = [OK if lane in result.failed else reason for lane, reason in enumerate(status)]
         needed = needed_steps(steps, result, status, dynamics.start_errors)
+        if needed <= steps and _alternates(result, duration / steps):
+            needed = _UNKNOWN * steps
         if needed <= steps or steps >= most:
             return steps, result
         steps = min(round_up(needed), most)
@@ -120,6 +123,17 @@ def needed_steps(steps: int, result: IntegrationResult, status: Sequence[str], s
         elif error > _NEAR * GOOD_STEP / _FINER**2:
             needed = max(needed, math.ceil(_MORE * _FINER * float(s.suggested_steps[lane])))
     return min(needed, _MOST_MORE * steps)
+
+
+def _alternates(result: IntegrationResult, h: float) -> bool:
+    """True if accelerations of rigid bodies under forces change their sign from step to step, as of vibrations on springs."""
+    history, dynamics = result.history, result.history.run.recorded.values()
+    T = dynamics.topology
+    if T.flexible or T.beams is not None or not T.actions or not T.bodies:
+        return False
+    accelerations, places = history.vd[:, :, 0].permute(2, 0, 1), history.q[:, : 3 * T.bodies, 0]
+    change, size = rigid_alternations(dynamics, accelerations, places.abs().amax(), h)
+    return bool((change.sum(1) > ALTERNATION * size.sum(1)).any())
 
 
 def _followed(f: Tensor, stride: int) -> bool:
