@@ -16,8 +16,8 @@ def build() -> mbd.System:
         mbd.Revolute(ground.at(), root.at(), axis="y", name="hinge"),
         mbd.Fixed(root.at(), panel.at("left"), name="edge"),
     ]
-    unwound = {"stiffness": 0.2, "damping": 0.02, "rest": 2.0}  # [N m/rad], [N m s/rad], [rad]
-    spring = mbd.RotationalSpringDamper(ground.at(), root.at(), axis="y", **unwound, name="spring")
+    stiffness, damping, unwound = 0.2, 0.02, 2.0  # [N m/rad], [N m s/rad], [rad]
+    spring = mbd.RotationalSpringDamper(ground.at(), root.at(), "y", stiffness, damping, unwound, name="spring")
     return mbd.System([root, panel], joints, [spring])
 
 

@@ -155,7 +155,8 @@ class RotationalStop(_Stop):
             )
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
-        vectors = attachments.turning_axes(self.name, *self.frames, self.axis)
+        a, b = self.frames
+        vectors = attachments.turning_axes(self.name, a, b, self.axis)
         yield Applied(Turn, vectors, self._port(self.middle))
 
 

@@ -153,4 +153,5 @@ class RotationalSpringDamper(_Between):
         self.axis = axis
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
-        yield Applied(Turn, attachments.turning_axes(self.name, *self.frames, self.axis), self.law)
+        a, b = self.frames
+        yield Applied(Turn, attachments.turning_axes(self.name, a, b, self.axis), self.law)
