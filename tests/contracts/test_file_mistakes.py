@@ -203,7 +203,7 @@ MISTAKES = [
     (
         "tracking:",
         f"scenarios: [{{set: {{{THICK}: 0.003}}, weight: 0}}]\ntracking:",
-        ["all 0", "allowed: one at least"],
+        ["all 0", "allowed: at least one positive weight"],
     ),
     ("tracking:", "combine: {objective: mean}\ntracking:", ["combine is given without scenarios", "allowed: both"]),
     # what the methods refuse

@@ -108,7 +108,7 @@ MISTAKES = {
     "beam": (lambda: any_.FlexibleBody.beam("b", mbd.BeamLine.straight(1.0), "tube"), "section is 'tube'", "a Section"),
     "name": (lambda: mbd.RigidBody("a b", 1.0, (1, 1, 1)), "'a b'", "a Python identifier"),
     "mass": (lambda: mbd.RigidBody("a", -1.0, (1, 1, 1)), "a.mass is -1.0 kg", "a positive and finite number"),
-    "inertia": (lambda: mbd.RigidBody("a", 1.0, (1, 1, 9)), "[1.0, 1.0, 9.0] kg m2", "the sum of any two"),
+    "inertia": (lambda: mbd.RigidBody("a", 1.0, (1, 1, 9)), "[1.0, 1.0, 9.0] kg m2", "the sum of the other two"),
     "node": (lambda: SYSTEM.body("rod").at("rigth"), "node 'rigth'", "did you mean 'right'"),
     "body": (lambda: SYSTEM.body("rodd"), "body 'rodd'", "did you mean 'rod'"),
     # joints, forces, systems

@@ -62,9 +62,7 @@ class Aggregate(Measure):
             if scalar(name, x, "a positive number") <= 0.0:
                 raise InputError(name, x, "a positive number")
         if self.kind == "p_norm" and self.scale != 1.0:
-            raise InputError(
-                "scale", self.scale, "1.0", state=f"is {self.scale!r} with kind 'p_norm', which needs none"
-            )
+            raise InputError("scale", self.scale, "1.0", state=f"is {self.scale!r} but kind 'p_norm' does not use it")
 
     @property
     def operands(self) -> Sequence[Measure]:

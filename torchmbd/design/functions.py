@@ -108,8 +108,8 @@ def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: 
         )
     if torch.is_grad_enabled() and motion.q.requires_grad and not result.requires_grad:
         warn(
-            f"response {name!r} has a gradient of zero: its result does not follow from the motion by operations of torch; "
-            "float(), .item(), .numpy() and .detach() cut the gradient"
+            f"response {name!r} has a gradient of zero, because torch operations do not connect its result with the motion. "
+            "float(), .item(), .numpy() and .detach() cut the gradient. Try: torch operations alone"
         )
     return result
 

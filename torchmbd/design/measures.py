@@ -352,8 +352,8 @@ class Frequencies(Measure):
             object.__setattr__(self, "cluster", tuple(numbers))
         if not isinstance(numbers, (list, tuple)) or not numbers or len(set(numbers)) < len(numbers):
             raise InputError("cluster", numbers, "numbers of modes, each once, such as (2, 3)")
-        if scalar("power", self.power, "a finite number but 0") == 0.0:
-            raise InputError("power", self.power, "a finite number but 0")
+        if scalar("power", self.power, "a finite number other than 0") == 0.0:
+            raise InputError("power", self.power, "a finite number other than 0")
 
     def check(self, system: System) -> None:
         for number in self.cluster:

@@ -78,8 +78,9 @@ def _warn_of_triangles(name: str, body: Any) -> None:
         ratio = float(triangles.facets.area.mean().sqrt() / part.laminate.total_thickness.detach().min())
         if ratio > LONGEST:
             warn(
-                f"triangles of body {name!r} are {ratio:.0f} times as long as it is thick: shear between its layers may be "
-                f"tens of per cent off; allowed: quadrilaterals, or triangles up to {LONGEST:g} times the thickness"
+                f"body {name!r} has triangles with sides of {ratio:.0f} times its thickness, so the shear stress between its "
+                "layers may have an error of tens of percent. Try: quadrilaterals, or triangles with sides of at most "
+                f"{LONGEST:g} times the thickness"
             )
 
 

@@ -111,7 +111,7 @@ def problem_steps(problem: Any) -> int | None:
 
 
 def _warn(problem: Any, choice: StepChoice) -> None:
-    warn(f"no number of steps that was tried has all errors below tolerance = {problem.tolerance:g}: {choice}")
+    warn(f"none of the tried numbers of steps has all errors below tolerance = {problem.tolerance:g}: {choice}")
 
 
 def steps_for(

@@ -263,7 +263,7 @@ class Measure(ConstantArguments):
             return CombinedMeasure(torch.div, (self, divisor))
         if not is_number(divisor) or not divisor:
             raise InputError(
-                "divisor", divisor, "a finite number but 0", state=f"is divided by {divisor!r}", noun="a measure"
+                "divisor", divisor, "a finite number other than 0", state=f"is divided by {divisor!r}", noun="a measure"
             )
         return Total([(1.0 / divisor, self)])
 
@@ -359,7 +359,7 @@ class CombinedMeasure(Measure):
         return formula(self.operation, self.parts)
 
     def __post_init__(self) -> None:
-        allowed = "measures of one number, finite numbers"
+        allowed = "measures of one number, or finite numbers"
         settle(self, "parts", tuple(operand(part, Measure, "measure", allowed) for part in self.parts))
         for part in self.parts:
             if isinstance(part, Measure) and part.rows != 1:

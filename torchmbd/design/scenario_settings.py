@@ -41,7 +41,7 @@ def normalized_weights(weights: Any, count: int) -> np.ndarray:
     ):
         raise InputError("weights", weights, f"{count} numbers that are not negative, one for each scenario")
     if not sum(weights) > 0.0:
-        rule = "are all 0; allowed: one at least that is positive"
+        rule = "are all 0; allowed: at least one positive weight"
         raise InputError("weights", weights, rule=rule, noun="weights of scenarios", shown="")
     return np.asarray(weights, dtype=float) / float(sum(weights))
 

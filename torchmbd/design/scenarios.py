@@ -123,10 +123,10 @@ class Scenarios(Problem):
         scenarios = scenarios_by_name(scenarios)
         is_mapping = isinstance(scenarios, Mapping) and all(isinstance(x, Mapping) for x in scenarios.values())
         if not is_mapping or not scenarios:
-            raise InputError("scenarios", scenarios, "name -> {parameter: value}, one at least")
+            raise InputError("scenarios", scenarios, "name -> {parameter: value}, at least one")
         if not any(scenarios.values()):
             shown = f"{scenarios!r}, and sets nothing"
-            raise InputError("scenarios", scenarios, "a parameter, or a system, at least", shown=shown)
+            raise InputError("scenarios", scenarios, "at least a parameter or a system", shown=shown)
         systems: list[System] = []
         for key, settings in scenarios.items():
             system = settings.get(SYSTEM, self.system)

@@ -224,7 +224,7 @@ def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tup
                 noun = f"link of {linked}:"
                 raise InputError(("links", linked, source), terms[source], rule=rule, noun=noun, shown="")
     if not free:
-        raise InputError("links", rule="leave no entry free; allowed: one at least")
+        raise InputError("links", rule="leave no entry free; allowed: at least one free entry")
     numbers: list[tuple[int, int, float]] = []
     offset = np.zeros(len(entries))
     for row, entry in enumerate(entries):

@@ -63,7 +63,10 @@ class Tradeoff:
         self.criteria = list(minimize)
         if len(self.criteria) < 2:
             raise InputError(
-                "minimize", minimize, "two criteria at least; for one, use Problem", state=f"has {self.criteria}"
+                "minimize",
+                minimize,
+                "at least two criteria; for one criterion use Problem",
+                state=f"has {self.criteria}",
             )
         for name, measure in minimize.items():
             if getattr(measure, "rows", 1) > 1:

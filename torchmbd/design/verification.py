@@ -66,7 +66,9 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
     if isinstance(result, MultistartResult):
         best, feasibility, others = result.best, result.feasibility, other_ends(result)
     if best is None or not best.violation <= feasibility:  # type: ignore[union-attr]
-        raise InputError("result", result, "one that has", state=f"has no design with a violation <= {feasibility:g}")
+        raise InputError(
+            "result", result, "a result with such a design", state=f"has no design with a violation <= {feasibility:g}"
+        )
     problem = best.problem  # type: ignore[union-attr]
     if isinstance(problem, Processes):
         problem = problem.problem

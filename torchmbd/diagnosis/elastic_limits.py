@@ -69,8 +69,8 @@ def warn_of_displacements(motion: Trajectory) -> None:
         if ratio > LARGE:
             near = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
             warn(
-                f"body {name!r} has elastic displacements of {near} of its size, but this body assumes small "
-                "displacements; allowed: smaller loads, pieces of a beam (mbd.split), exact beams (mbd.FlexibleBeam)"
+                f"body {name!r} has elastic displacements of {near} of its size, but a body with modes assumes small "
+                "displacements. Try: smaller loads, a beam in pieces (mbd.split), or an exact beam (mbd.FlexibleBeam)"
             )
 
 
@@ -92,9 +92,9 @@ def warn_of_spin(motion: Trajectory) -> None:
         if ratio > FAST and not is_stiffened(motion, name):
             rounded = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
             warn(
-                f"body {name!r} turns at {rounded} of its first frequency: centrifugal stiffening, which linear elastic "
-                f"displacements leave out, is of the size {min(float(rounded) ** 2, 1.0):.0%} of its deflections; allowed: "
-                "stiffening=True of a body of plates and beams",
+                f"body {name!r} turns at {rounded} of its first frequency, but it has no centrifugal stiffening. So its "
+                f"deflections have an error of about {min(float(rounded) ** 2, 1.0):.0%}. Try: stiffening=True, for bodies of "
+                "plates and beams",
             )
 
 
@@ -108,8 +108,8 @@ def warn_of_damping(motion: Trajectory) -> None:
         ratio = 0.5 * time * _largest(first)
         if ratio > 1.0:
             warn(
-                f"damping of body {name!r} = {time:g} s gives its first mode the damping ratio {ratio:.3g}, above the critical "
-                f"one. Try: a time, 2 x ratio / {_largest(first):.3g} rad/s for a ratio of this mode"
+                f"damping of body {name!r} = {time:g} s gives its first mode the damping ratio {ratio:.3g}, above critical "
+                f"damping. Try: damping = 2 x ratio / ({_largest(first):.3g} rad/s) for a damping ratio of this mode"
             )
 
 

@@ -85,7 +85,7 @@ def warn_of_singular_positions(motion: MotionData) -> None:
         doubtful = lane in failed_first or (further is not None and float(further[lane]) >= _MANY)
         if doubtful and not has_failed(status) and may_be_near(motion, lane):
             for near in positions_of_lane(motion, lane):
-                warn(f"{near}; from there the motion may go on in several ways, and gradients may be wrong")
+                warn(f"{near}. After this position the motion may not be unique, and gradients may be wrong")
 
 
 def name_causes(motion: Trajectory) -> None:

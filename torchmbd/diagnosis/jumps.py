@@ -163,10 +163,10 @@ def _warn_of_force(name: str, times: Sequence[float]) -> None:
     if times:
         t = times[0]
         warn(
-            f"the law of {name!r} jumps at {_shown(times)}: steps evaluate it at their ends, so that the force acts up to "
-            "half a step early or late, an error of first order in the step; allowed: a law for each phase that does not jump, "
-            f"as by phases=[mbd.Phase(until={t:.6g}, laws={{{name!r}: first}}), mbd.Phase(laws={{{name!r}: second}})] of a "
-            'force along one axis; a Controller with mbd.ControlHistory(..., kind="hold"); or method="dopri5"'
+            f"the law of {name!r} jumps at {_shown(times)}. A step evaluates the law at its ends, so the force acts up to "
+            "half a step early or late, and the error is of first order in the step. Try: one law for each phase, "
+            f"phases=[mbd.Phase(until={t:.6g}, laws={{{name!r}: first}}), mbd.Phase(laws={{{name!r}: second}})], for a "
+            'force along one axis; or a Controller with mbd.ControlHistory(..., kind="hold"); or method="dopri5"'
         )
 
 
@@ -205,8 +205,8 @@ def _warn_of_held(
         allowed = f"{fit}, or no steps" if fitting else fit
         warn(
             f"values of the controller {force.name!r} change at {_shown(within)}, where none of "
-            f"{f'{steps} steps' if steps else f'up to {MOST} steps'} ends: they act up to half a step early or late, an error "
-            f'of first order in the step; allowed: {allowed}, or method="dopri5"'
+            f"{f'{steps} steps' if steps else f'up to {MOST} steps'} ends. So the values act up to half a step early or late, "
+            f'and the error is of first order in the step. Try: {allowed}, or method="dopri5"'
         )
 
 
@@ -214,9 +214,9 @@ def _warn_of_module(force: Controller, duration: float) -> None:
     times = _jumps_of_module(force, duration)
     if times:
         warn(
-            f"the module of the controller {force.name!r} jumps at {_shown(times)}: steps take its value at their ends, so "
-            "that it acts up to half a step early or late, an error of first order in the step; allowed: a module that does "
-            'not jump in time, mbd.ControlHistory(..., kind="hold") for what does, or method="dopri5"'
+            f"the module of the controller {force.name!r} jumps at {_shown(times)}. A step evaluates the module at its ends, "
+            "so it acts up to half a step early or late, and the error is of first order in the step. Try: a module that does "
+            'not jump in time, with mbd.ControlHistory(..., kind="hold") for the jumps, or method="dopri5"'
         )
 
 
@@ -233,9 +233,9 @@ def _warn_of_drive(drive: Drive, duration: float) -> None:
     times = _jumps((drive.name, "law"), drive, lambda: [of_time], duration)
     if times:
         warn(
-            f"the law of the drive {drive.name!r}, or its rate, jumps at {_shown(times)}: no body follows it without "
-            "an impact, and forces there grow with the number of steps; allowed: a law with a continuous rate, such as "
-            f"mbd.SmoothStep, or mbd.Phase(until={times[0]:.6g}) before a phase with another drive"
+            f"the law of the drive {drive.name!r}, or its rate, jumps at {_shown(times)}. This is an impact, so the forces "
+            "there increase with the number of steps. Try: a law with a continuous rate, such as mbd.SmoothStep, or "
+            f"mbd.Phase(until={times[0]:.6g}) before a phase with another drive"
         )
 
 

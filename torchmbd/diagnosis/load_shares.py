@@ -92,9 +92,9 @@ def warn_of_loads(motion: Trajectory) -> None:
     for name, share in motion.stats["load_share"].items():
         if share > _LOADED:
             warn(  # few different texts: Python shows each once in an optimization
-                f"body {name!r}: tension and pressure of its loads are {share:.1g} of its stiffness, which linear elastic "
-                "displacements leave out, and its deflections are off by a part of this size; allowed: stiffening=True, "
-                "or a reference in its middle, where the part is smaller",
+                f"body {name!r}: tension and pressure of its loads are {share:.1g} of its stiffness. The body has no geometric "
+                "stiffness, so its deflections have a relative error of about this size. Try: stiffening=True, or a reference "
+                "in the middle of the body, which reduces the error",
                 LoadWarning,
             )
 

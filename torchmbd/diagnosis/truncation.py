@@ -143,7 +143,7 @@ def warn_static_truncation(system: System) -> None:
     except (MbdError, torch.linalg.LinAlgError):  # pyright: ignore[reportPrivateImportUsage]
         return  # the designs to be simulated need not have the errors of the present one
     if truncation is not None and truncation.share > system.truncation:
-        warn(f"{truncation}. truncation=None of mbd.System puts this warning off")
+        warn(f"{truncation}. mbd.System(..., truncation=None) switches this warning off")
 
 
 def _residual(system: Any, dynamics: Any, stages: dict[str, Tensor], k: int) -> _Residual | None:

@@ -56,7 +56,7 @@ def _stations(path: str | Path) -> list[np.ndarray]:
     allowed = "a BeamDyn blade file with station_total and a section Distributed Properties"
     if start is None or not total.isdecimal() or int(total) < 2:
         raise InputError(
-            file.name, allowed=f"{allowed}, two stations at least", state=f"has no stations, station_total {total!r}"
+            file.name, allowed=f"{allowed}, at least two stations", state=f"has no stations, station_total {total!r}"
         )
     rows = [(k, line.split()) for k, line in enumerate(lines[start + 1 :], start=start + 2) if line.strip()]
     if len(rows) < 13 * int(total):

@@ -161,7 +161,7 @@ def _abaqus(file: Path) -> LabeledMatrix:
                 )
     if bool(labelled) == bool(plain):
         raise InputError(
-            file.name, allowed="one kind", state=f"has {('two kinds of lines' if plain else 'no entries')}"
+            file.name, allowed="one kind of lines", state=f"has {('two kinds of lines' if plain else 'no entries')}"
         )
     if labelled:
         return _assembled(file.name, labelled)
@@ -247,7 +247,9 @@ def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: 
             row = words[0] % 65536
     if column <= size:
         raise InputError(
-            (name,), allowed=f"all, and a last one of number {size + 1}", state=f"ends in column {column} of {size}"
+            (name,),
+            allowed=f"all columns, and then the column number {size + 1}",
+            state=f"ends in column {column} of {size}",
         )
     return scipy.sparse.csr_array((np.array(values), (np.array(i, int), np.array(j, int))), shape=(size, size))
 

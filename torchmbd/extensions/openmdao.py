@@ -67,7 +67,7 @@ def openmdao_component(
     if gradients not in _GRADIENTS:
         raise InputError("gradients", gradients, f"{' or '.join(map(repr, _GRADIENTS))}")
     if not isinstance(responses, Mapping) or not responses:
-        raise InputError("responses", responses, "name -> measure, one at least")
+        raise InputError("responses", responses, "name -> measure, at least one")
     for name, measure in responses.items():
         if not isinstance(measure, Measure):
             raise InputError(name, measure, "a measure, such as mbd.Max(...)", noun=f"response {name!r}")

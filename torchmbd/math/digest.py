@@ -283,7 +283,7 @@ def _is_generated(kind: type, member: Any) -> bool:
 
 def _warn_unseen(part: str, allowed: str) -> None:
     warn(
-        f"{part} in the model cannot be compared: a change of it is not noticed, and remembered evaluations are used. "
+        f"{part} in the model cannot be compared. If it changes, torchmbd uses stored evaluations that are out of date. "
         f"Try: {allowed}, or run --fresh"
     )
 

@@ -54,7 +54,10 @@ class Pattern:
         i, j = _indices("rows", rows, size), _indices("cols", cols, size)
         if len(i) != len(j):
             raise InputError(
-                "cols", allowed="as many of both", state=f"have {len(i)} and {len(j)} entries", noun="rows and cols"
+                "cols",
+                allowed="the same number of both",
+                state=f"have {len(i)} and {len(j)} entries",
+                noun="rows and cols",
             )
         key = i * size + j
         if (key[1:] <= key[:-1]).any():
@@ -62,7 +65,7 @@ class Pattern:
             entry = (int(i[k]), int(j[k]))
             raise InputError(
                 ("rows", k),
-                rule="repeats or precedes its forerunner; use Pattern.gather to sort",
+                rule="repeats or precedes the entry before it; use Pattern.gather to sort",
                 noun=f"coordinate {k} {entry}",
             )
         self._set(torch.nn.functional.pad(torch.bincount(i, minlength=size).cumsum(0), (1, 0)), j, size)

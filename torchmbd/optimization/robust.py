@@ -56,10 +56,10 @@ class RobustProblem:
         if not isinstance(kind, str) or kind not in KINDS:
             raise unknown("kind", kind, KINDS)
         if len(getattr(problem, "equalities", ())):
-            rule = "has equalities, which no design within tolerances keeps; allowed: inequalities"
+            rule = "has equalities, which the designs within a tolerance cannot all satisfy; allowed: inequalities"
             raise InputError("problem", problem, rule=rule, shown="")
         if kind == "expected" and getattr(problem, "has_extra_variable", False):
-            rule = "is 'expected', and the problem minimizes the largest of several rows; allowed: 'worst'"
+            rule = "is 'expected', but the objective is the largest of several rows; allowed: 'worst'"
             raise InputError("kind", kind, rule=rule, shown="")
         start, lower, upper = checked_box(problem)
         self.period = np.asarray(getattr(problem, "period", np.zeros(start.size)), dtype=float)

@@ -63,6 +63,6 @@ def warn_of_ringing(motion: MotionData, joint: str, kind: str, x: Tensor) -> Non
     until = float(t[..., 4:][alternates.flatten(0, -2).any(0)].max())
     warn(  # few different texts: Python shows each once in an optimization
         f"the {kind} of joint {joint!r} alternates from step to step by up to {worst:.1g} of its largest value until "
-        f"t = {until:.2g} s, which is an error of the steps; allowed: more steps, a smaller spectral_radius, or a window "
-        "that begins later"
+        f"t = {until:.2g} s. This is an error of the time integration. Try: more steps, a smaller spectral_radius, or a "
+        "window that begins later"
     )

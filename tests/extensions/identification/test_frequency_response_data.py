@@ -91,7 +91,7 @@ def test_files_of_both_forms(tmp_path):
             {"data": receptances() | {"frequency": F[::-1]}},
             ("frequency", 14.0),
         ),
-        ({"data": receptances() | {"a": np.zeros(5, complex)}, "form": "polar"}, ("a", ANY, "zero or a gap")),
+        ({"data": receptances() | {"a": np.zeros(5, complex)}, "form": "polar"}, ("a", ANY, "zeros or gaps")),
         (
             {"data": receptances() | {"a": np.ones(5)}},
             ("a", ANY, "complex"),

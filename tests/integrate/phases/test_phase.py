@@ -265,7 +265,7 @@ class TestDoor:
         self.refused("phase '1' never ends; allowed: until or lasting", [mbd.Phase(), mbd.Phase()])
 
     def test_a_last_phase_with_an_end(self):
-        self.refused("phase '1' is the last and has an end of its own", [mbd.Phase(until=0.05)])
+        self.refused("phase '1' is the last phase, but it has until or lasting", [mbd.Phase(until=0.05)])
 
     def test_times_that_do_not_increase(self):
         phases = [mbd.Phase(until=0.05), mbd.Phase(until=0.03), mbd.Phase()]

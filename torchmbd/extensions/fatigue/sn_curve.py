@@ -58,7 +58,7 @@ class SNCurve:
             raise InputError("points", self.points, "pairs (cycles, amplitude [Pa])") from None
         object.__setattr__(self, "points", points)
         if len(points) < 2:
-            raise InputError("points", self.points, "two pairs (cycles, amplitude [Pa]) at least")
+            raise InputError("points", self.points, "at least two pairs (cycles, amplitude [Pa])")
         for k, (n, a) in enumerate(points):
             if not (0.0 < n < math.inf and 0.0 < a < math.inf):
                 raise InputError(

@@ -132,7 +132,7 @@ def _cells(mesh: Mesh, cells: Sequence[int] | Tensor | None) -> Tensor:
     if numbers.ndim != 1 or not len(numbers) or int(numbers.min()) < 0 or int(numbers.max()) >= mesh.cell_count:
         raise InputError("cells", cells, f"numbers of cells, 0 to {mesh.cell_count - 1}", noun="cells of a FiberField")
     if len(numbers.unique()) < len(numbers):
-        raise InputError("cells", cells, "each once", noun="cells of a FiberField", state="has a number twice")
+        raise InputError("cells", cells, "each number once", noun="cells of a FiberField", state="has a number twice")
     return numbers
 
 

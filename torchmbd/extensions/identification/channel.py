@@ -99,7 +99,7 @@ class Channel:
 def channels_of(channels: Any) -> dict[str, Channel]:
     """Channels by name, of channels or of histories; InputError for anything else."""
     if not isinstance(channels, Mapping) or not channels:
-        raise InputError("channels", channels, "name -> mbd.Channel(...), or a history, one at least")
+        raise InputError("channels", channels, "name -> mbd.Channel(...), or a history; at least one")
     result = {}
     for name, x in channels.items():
         if not isinstance(name, str) or not isinstance(x, (Channel, History)):

@@ -61,7 +61,7 @@ class Experiment(Summary):
             "measurements", single, Measurement, "a measurement, such as mbd.TimeSeries(...)"
         )
         if not self.measurements:
-            raise InputError("measurements", measurements, "one measurement at least", state="is empty")
+            raise InputError("measurements", measurements, "at least one measurement", state="is empty")
         for measurement in self.measurements:
             measurement.check(system)
         self.channels = [block.channel for x in self.measurements for block in x.blocks]

@@ -109,7 +109,7 @@ class FitProblem:
                 "unknowns",
                 searched,
                 "at most as many unknowns as numbers",
-                state=f"are {len(searched)} ({', '.join(searched)}), beside {count} measured numbers and priors",
+                state=f"are {len(searched)} ({', '.join(searched)}), but there are only {count} measured numbers and priors",
             )
 
     def _within(

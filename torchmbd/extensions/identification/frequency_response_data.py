@@ -106,7 +106,7 @@ class FrequencyResponseData(Measurement):
                     name,
                     allowed="other numbers",
                     noun=f"output {name!r}",
-                    state="is zero or a gap where it was measured",
+                    state="has zeros or gaps at measured frequencies",
                 )
         deviation = {} if deviation is None else deviation
         if not isinstance(deviation, Mapping):
@@ -169,7 +169,7 @@ def _table(data: Any, frequency: str, names: list[str], form: str) -> tuple[np.n
         x, form = np.asarray(pairs.pop(name)), "complex"
         if not np.iscomplexobj(x):
             raise InputError(
-                name, allowed="complex ones", noun=f"output {name!r}", state="has numbers without imaginary parts"
+                name, allowed="complex numbers", noun=f"output {name!r}", state="has numbers without imaginary parts"
             )
         pairs |= {f"{name} real": np.real(x), f"{name} imaginary": np.imag(x)}
     data = pairs or data

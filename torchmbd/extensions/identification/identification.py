@@ -342,7 +342,10 @@ class Identification(Summary):
             }
         if len(groups) == 1:
             raise InputError(
-                "experiments", list(groups), "two channels at least, of which one is left out", state="has one channel"
+                "experiments",
+                list(groups),
+                "at least two channels, because one of them is left out",
+                state="has one channel",
             )
         searched, r, result = self.searched, self.residuals, {}
         size = self.size[searched]

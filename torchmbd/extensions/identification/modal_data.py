@@ -121,7 +121,7 @@ class ModalData(Measurement):
             raise InputError(
                 "shapes",
                 shapes,
-                "finite numbers, one at least that is not zero",
+                "finite numbers that are not all zero",
                 state="have a mode that is zero or is not finite",
             )
         numbers: Any = list(range(1, count + 1)) if modes is None else modes
@@ -333,5 +333,5 @@ def _numbers(x: Any) -> np.ndarray:
 def _positive(what: str, numbers: Any, unit: str) -> np.ndarray:
     values = _numbers(numbers)
     if values.ndim != 1 or not len(values) or not (values > 0.0).all() or not np.isfinite(values).all():
-        raise InputError(str(what), numbers, f"positive numbers{unit}, one at least")
+        raise InputError(str(what), numbers, f"positive numbers{unit}, at least one")
     return values

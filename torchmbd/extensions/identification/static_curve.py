@@ -42,7 +42,7 @@ class StaticCurve(Measurement):
 
     def __init__(self, data: Any, loads: Mapping[str, str], channels: Mapping[str, Any]):
         if not isinstance(loads, Mapping) or not loads or not all(isinstance(x, str) for x in loads.values()):
-            raise InputError("loads", loads, "parameter -> name of its column, one at least")
+            raise InputError("loads", loads, "parameter -> name of its column, at least one")
         self.channels = channels_of(channels)
         columns = {name: channel.column or name for name, channel in self.channels.items()}
         table = Table.of(data, list(dict.fromkeys([*loads.values(), *columns.values()])))
@@ -151,7 +151,7 @@ def _check_channel(name: str, channel: Channel, present: np.ndarray) -> None:
     if isinstance(channel.delay, nn.Parameter) or channel.delay:
         raise InputError(path, allowed="gain and offset", state="of a static curve has a delay", noun=noun)
     if not present.any():
-        raise InputError(path, allowed="one number at least", state="has gaps alone", noun=noun)
+        raise InputError(path, allowed="at least one number", state="has only gaps", noun=noun)
     if isinstance(channel.deviation, np.ndarray) and len(channel.deviation) != len(present):
         rule = f"has {len(channel.deviation)} values; allowed: {len(present)}"
         raise InputError((*path, "deviation"), channel.deviation, rule=rule, noun=f"deviation of {noun}", shown="")

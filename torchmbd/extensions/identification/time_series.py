@@ -166,7 +166,7 @@ def _times(table: Table, time: str) -> np.ndarray:
     t = table.columns[time] if factor == 1.0 else factor * table.columns[time]
     if not len(t):
         raise InputError(
-            "data", allowed="one time at least", state=f"has no rows{f': {table.file}' if table.file else ''}"
+            "data", allowed="at least one time", state=f"has no rows{f': {table.file}' if table.file else ''}"
         )
     wrong = np.flatnonzero(~np.isfinite(t))
     if len(wrong):
@@ -198,7 +198,7 @@ def _samples(table: Table, t: np.ndarray, name: str, column: str, channel: Chann
         allowed = "finite numbers, nan for a gap"
         raise InputError(path, float(y[k]), allowed, noun=f"{table.row(k)}: {noun}", shown=f"{y[k]:g}")
     if not present.any():
-        rule = f"has gaps alone: every row of column {column!r} is nan; allowed: one number at least"
+        rule = f"has only gaps: every row of column {column!r} is nan; allowed: at least one number"
         raise InputError(path, rule=rule, noun=noun)
     spread = None if deviation is None else np.broadcast_to(np.asarray(deviation, dtype=float), y.shape)
     if present.all():

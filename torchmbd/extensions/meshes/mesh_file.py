@@ -82,7 +82,9 @@ def mesh_file(path: str | Path, scale: float | str = 1.0) -> MeshFile:
 
 def _unread(path: Path, reason: str) -> InputError:
     state = f"meshio cannot read it: {reason}"
-    return InputError("path", str(path), "a whole file in a format of meshio", noun=f"{path.name}:", state=state)
+    return InputError(
+        "path", str(path), "a complete file in a format that meshio reads", noun=f"{path.name}:", state=state
+    )
 
 
 @constant_arguments

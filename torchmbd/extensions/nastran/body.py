@@ -183,8 +183,8 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
         first = next(entry for entry in data.supports if partly[0] in entry.grids)
         warn(
             f"supports of single degrees of freedom are left out ({len(partly)} grids, the first is {partly[0]}, components "
-            f"{''.join(sorted(components[partly[0]]))} by {first.card}): the body moves there as if they were not in the file; "
-            "hold it by joints of the system, or hold all six degrees of freedom, which makes a reference"
+            f"{''.join(sorted(components[partly[0]]))} by {first.card}), so the body is free there. Try: joints of the system, "
+            "or supports of all six degrees of freedom, which make the grids a reference"
         )
     return held or None
 
@@ -192,8 +192,8 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
 def _warn_ignored(data: BulkData, path: str | Path) -> None:
     if data.grounded:
         warn(
-            f"{data.grounded[0]}: one of its ends is the ground; {len(data.grounded)} such are left out: a body carries no "
-            "supports, springs to mbd.Ground() belong to the system"
+            f"{data.grounded[0]}: one of its ends is the ground. The reader leaves out {len(data.grounded)} such elements, "
+            "because a body does not contain supports. Try: springs to mbd.Ground() in the system"
         )
     if data.ignored:
         cards = ", ".join(f"{name} ({count})" for name, count in sorted(data.ignored.items()))

@@ -167,7 +167,9 @@ class BulkData:
         ):
             unions = [set(card.integers(2, ())) for card in data.unions if card.name == f"{name}ADD"]
             if len(numbers) > 1 and not any(numbers <= union for union in unions):
-                warn(f"{name} sets {sorted(numbers)[:8]} hold together: whatever the case control chooses")
+                warn(
+                    f"{name} sets {sorted(numbers)[:8]} hold together, also those that the case control does not choose"
+                )
         return data
 
     def _sort_card(self, card: Card) -> None:
@@ -357,7 +359,7 @@ def _mass(card: Card) -> Mass:
             "blank",
             hint="put a grid at this place",
             noun=f"{card}: CID",
-            state=f"is {card.text(3)}, X1 to X3 are a place",
+            state=f"is {card.text(3)}, X1 to X3 are coordinates",
         )
     principal = [card.real(k, name, 0.0) for k, name in ((9, "I11"), (11, "I22"), (14, "I33"))]
     products = [card.real(k, name, 0.0) for k, name in ((10, "I21"), (12, "I31"), (13, "I32"))]

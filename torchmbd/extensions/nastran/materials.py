@@ -133,7 +133,7 @@ def _ply(card: Card, units: Units, weight_to_mass: float) -> Ply:
     strength = None
     if min(Xt, Xc, Yt, Yc, S) > 0.0:
         if card.real(19, "STRN", 0.0) == 1.0:
-            warn(f"{card}: allowable strains (STRN = 1) are left out; allowed: stresses")
+            warn(f"{card}: the reader leaves out allowable strains (STRN = 1). Try: allowable stresses")
         else:
             F12 = card.real(18, "F12", 0.0) / units.stress**2
             strength = Strength(Xt, Xc, Yt, Yc, S, interaction=F12 * math.sqrt(Xt * Xc * Yt * Yc))

@@ -146,7 +146,9 @@ def _shares(card: Card, carriers: list[Carrier]) -> Iterator[tuple[Carrier, floa
         members = [carrier for number in dict.fromkeys(numbers) for carrier in by_number[number]]
         if card.name in ("NSML", "NSML1"):
             if len({carrier.kind in _AREAS for carrier in members}) > 1:
-                raise wrong_entry(card, "its mass is spread over areas and lengths", "one of both", key="ID")
+                raise wrong_entry(
+                    card, "its mass is spread over areas and lengths", "either areas or lengths", key="ID"
+                )
             value = value / sum(carrier.measure for carrier in members)
         for carrier in members:
             yield carrier, value * carrier.measure

@@ -98,7 +98,7 @@ def read_constraint(card: Card) -> MultipointConstraint:
         raise InputError(
             (str(card), "A1"),
             card.text(4),
-            "not 0, the first term follows the others",
+            "a number other than 0, because the first term depends on the others",
             noun=f"{card}: A1",
             shown=f"{card.text(4)}",
         )
@@ -143,7 +143,7 @@ def _rbe3(card: Card) -> Rigid:
     if not grids:
         raise wrong_entry(card, "no grids to average", "at least three that span a plane", key="G")
     if turning:
-        warn(f"{card}: C is {turning!r}; the rotations of the averaged grids are left out, their displacements count")
+        warn(f"{card}: C is {turning!r}; torchmbd averages the displacements of these grids, not their rotations")
     return Rigid(card, card.integer(3, "REFGRID"), tuple(grids), tuple(weights), _components(card, 4, "REFC"))
 
 

@@ -107,7 +107,7 @@ def _named_beam(card: Card) -> tuple[SectionNumbers, float]:
     centers = [_shape(card, kind, station[:-1]).center for station in stations.values()]
     *numbers, extra = _mean(card, {x: list(section) for x, section in sections.items()})
     if any(center != centers[0] for center in centers):
-        warn(f"{card}: its center of shear moves along the bar; taken as at end A")
+        warn(f"{card}: its shear center varies along the bar; torchmbd uses the shear center at end A")
     return SectionNumbers(*numbers, center=centers[0]), extra  # pyright: ignore[reportArgumentType]
 
 
@@ -143,7 +143,7 @@ def _beam(card: Card) -> tuple[SectionNumbers, float]:
     K1, K2 = (card.real(start + k, f"K{k + 1}", 1.0) or RIGID_IN_SHEAR for k in (0, 1))
     for k, name in ((2, "S1"), (3, "S2"), (4, "NSI(A)"), (5, "NSI(B)"), (6, "CW(A)"), (7, "CW(B)")):
         if card.real(start + k, name, 0.0) != 0.0:
-            warn(f"{card}: {name} is {card.text(start + k)}; left out")
+            warn(f"{card}: {name} is {card.text(start + k)}; the reader leaves this out")
     places = [card.real(start + 8 + k, f"field {start + 8 + k}", 0.0) for k in range(8)]
     center = (_mean_of_ends(card, "N1", places[4], places[6]), _mean_of_ends(card, "N2", places[5], places[7]))
     if any(places[:4]) and extra:
@@ -155,7 +155,7 @@ def _beam(card: Card) -> tuple[SectionNumbers, float]:
 
 def _mean_of_ends(card: Card, name: str, start: float, end: float) -> float:
     if start != end and end != 0.0:
-        warn(f"{card}: {name} is {start:g} and {end:g} at its ends; taken as their mean")
+        warn(f"{card}: {name} is {start:g} and {end:g} at its ends; torchmbd uses the mean")
         return (start + end) / 2.0
     return start
 
@@ -163,7 +163,9 @@ def _mean_of_ends(card: Card, name: str, start: float, end: float) -> float:
 def _station(card: Card, position: int) -> float:
     place = card.real(position, "X/XB", 1.0)
     if not 0.0 < place <= 1.0:
-        raise InputError((str(card), "X/XB"), place, "above 0, up to 1", noun=f"{card}: X/XB", shown=f"{place:g}")
+        raise InputError(
+            (str(card), "X/XB"), place, "more than 0 and at most 1", noun=f"{card}: X/XB", shown=f"{place:g}"
+        )
     return place
 
 
@@ -176,6 +178,6 @@ def _mean(card: Card, stations: dict[float, list[float]]) -> list[float]:
     mean = torch.trapezoid(rows, x[:, None].expand_as(rows), dim=0)
     if not torch.allclose(rows, rows[:1].expand_as(rows), rtol=1e-6, atol=0.0):
         warn(
-            f"{card}: its section changes along the bar; taken as its mean, A {mean[0]:g}, I1 {mean[1]:g}, I2 {mean[2]:g}"
+            f"{card}: its section changes along the bar; torchmbd uses the mean, A {mean[0]:g}, I1 {mean[1]:g}, I2 {mean[2]:g}"
         )
     return mean.tolist()

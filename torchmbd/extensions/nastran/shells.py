@@ -55,7 +55,10 @@ def _shell(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
         laminate = Laminate(ply, [0.0], thickness, shear_correction=ratio, offset=offset)
     else:
         if not bending:
-            warn(f"{card}: MID2 is blank, a membrane; {MEMBRANE:g} of the bending stiffness of a solid shell are kept")
+            warn(
+                f"{card}: MID2 is blank, so the shell is a membrane; torchmbd gives it {MEMBRANE:g} of the bending stiffness "
+                "of a homogeneous shell"
+            )
         Q = _plane_stiffness(material, units, data)
         Q_bent = solid * _plane_stiffness(data.material(card, bending), units, data) if bending else MEMBRANE * Q
         G = ratio * _shear_stiffness(data.material(card, shear or bending or middle), units, data)

@@ -36,7 +36,11 @@ class Systems:
     def _add(self, card: Card, number: int) -> None:
         if number < 1:
             raise InputError(
-                (str(card), "CID"), number, "above 0, which is the basic system", noun=f"{card}: CID", shown=f"{number}"
+                (str(card), "CID"),
+                number,
+                "a positive number, because 0 is the basic system",
+                noun=f"{card}: CID",
+                shown=f"{number}",
             )
         if number in self._cards:
             raise wrong_entry(card, f"the number {number} is taken by {self._cards[number]}", key="CID")

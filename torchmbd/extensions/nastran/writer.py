@@ -117,7 +117,7 @@ def _changes(text: DeckText, card: Card, stacks: list[_Stack]) -> dict[int, list
         if others != fields[0]:
             raise InputError(
                 (card.name, card.fields[0]),
-                rule=f"is one card of {stacks[0].name} and {stack.name}: must have one design of both",
+                rule=f"is the card of both {stacks[0].name} and {stack.name}: must have the same design in both",
                 hint="links of the problem that make their angles and thicknesses equal",
                 noun=f"{card.name} {card.fields[0]}",
             )

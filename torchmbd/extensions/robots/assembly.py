@@ -134,8 +134,8 @@ class _Builder:
             if (first := names.setdefault(identifier(joint.name), joint.name)) != joint.name:
                 raise InputError(
                     ("joints", joint.name),
-                    allowed="names apart",
-                    state=f"are both {identifier(joint.name)!r}",
+                    allowed="different names",
+                    state=f"have the same identifier {identifier(joint.name)!r}",
                     noun=f"joints {first!r} and {joint.name!r}",
                 )
         self.placed = _place(self.robot.joints, self.robot.root, self.q, self.rate)
@@ -256,8 +256,8 @@ class _Builder:
                 bodies[link] = self._rigid(link, at)
         if self.impossible:
             warn(
-                f"links {self.impossible}: the largest principal inertia exceeds the sum of the others, which no mass "
-                "has; taken as it is"
+                f"links {self.impossible}: the largest principal inertia exceeds the sum of the other two, which is "
+                "physically impossible; the reader keeps it nevertheless"
             )
         return bodies
 
@@ -271,7 +271,7 @@ class _Builder:
         if not mass > 0.0:
             raise InputError(
                 ("links", link),
-                allowed="a mass > 0 of what moves",
+                allowed="a positive mass of every moving link",
                 state="is fixed to it, has no mass",
                 noun=f"link {link!r}, with what",
             )
@@ -343,7 +343,7 @@ class _Builder:
             options = {"lower": lower, "upper": upper, "stiffness": stop_stiffness, "damping": stop_damping}
             forces.append(stop(a, b, "z", **options, name=f"{name}_stop"))
         if unlimited:
-            warn(f"limits of joints {unlimited} are about a turn apart, or more: they are left out")
+            warn(f"limits of joints {unlimited} are about one full turn apart, or more; the reader leaves them out")
         for joint in self.robot.joints:
             if (mimic := joint.mimics) is not None:
                 pair = coordinates[joint.name], coordinates[mimic.joint]
@@ -408,7 +408,7 @@ def _physical(link: str, J: np.ndarray, mass: float) -> tuple[np.ndarray, bool]:
     if values[0] < -FLAT * mass - 1e-9 * values[2]:
         raise InputError(
             ("links", link, "inertia"),
-            allowed="none negative",
+            allowed="no negative value",
             state=f"has the principal values {values.tolist()}",
             noun=f"inertia of link {link!r}",
         )

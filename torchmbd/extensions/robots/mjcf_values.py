@@ -135,7 +135,9 @@ class Values:
         w, *v = self.numbers(where, attributes, "quat", "1 0 0 0", 4)
         length, sine = math.hypot(w, *v), math.hypot(*v)
         if not length > 1e-9:
-            raise InputError((str(where), "quat"), attributes["quat"], "one that is not zero", noun=f"{where}: quat")
+            raise InputError(
+                (str(where), "quat"), attributes["quat"], "a quaternion that is not zero", noun=f"{where}: quat"
+            )
         return rotation(np.array(v) / sine, 2.0 * math.atan2(sine, w)) if sine else np.eye(3)
 
     def limits(self, where: str, attributes: Attributes, key: str, limited: str) -> tuple[float, float] | None:

@@ -130,7 +130,7 @@ def _link(file: str, element: ET.Element) -> Link:
     if mass < 0.0:
         raise InputError((str(where), "mass"), mass, "zero or positive", noun=f"{where}: mass", shown=f"{mass:g}")
     if tensor is None and mass:
-        warn(f"{where}: it has no <inertia>; taken as a point of {mass:g} kg")
+        warn(f"{where}: it has no <inertia>; the reader makes it a point mass of {mass:g} kg")
     return Link(name, mass, pose.position, pose.axes @ J @ pose.axes.T)
 
 
@@ -158,7 +158,7 @@ def _joint(file: str, element: ET.Element) -> RobotJoint:
     if kind in ("revolute", "prismatic") and limit is not None and {"lower", "upper"} & set(limit.keys()):
         limits = _number(where, limit, "lower", 0.0), _number(where, limit, "upper", 0.0)
         if limits[0] > limits[1]:  # the convention of Bullet
-            warn(f"{where}: lower is {limits[0]:g}, upper {limits[1]:g}; taken as no limits")
+            warn(f"{where}: lower is {limits[0]:g}, upper {limits[1]:g}; the reader leaves out both limits")
             limits = None
     losses = [_number(where, dynamics, key, 0.0) for key in ("damping", "friction")]
     if min(losses) < 0.0:

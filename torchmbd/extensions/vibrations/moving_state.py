@@ -159,7 +159,9 @@ def time_index(motion: Trajectory, time: float | None, name: str = "state") -> i
     motions in phases."""
     if not motion.is_single:
         raise InputError(
-            name, allowed="a motion without, which may start at the end of another", state="is a motion in phases"
+            name,
+            allowed="a motion without phases, which may start at the end of another motion",
+            state="is a motion in phases",
         )
     if time is None:
         return len(motion.t) - 1
@@ -233,7 +235,7 @@ def _rows(T: Topology, active: Tensor, basis: Tensor, coordinates: Sequence[str]
     part = basis[[i for _, i in places]]
     if len(set(places)) != n or len(places) != n or float(torch.linalg.svdvals(part)[-1] if n else 1.0) < RELATIVE:
         proper = [T.rate_name(row) for row in independent_rows(T, active, basis)]
-        raise InputError("coordinates", chosen, f"{n} that are independent, such as {proper!r}")
+        raise InputError("coordinates", chosen, f"{n} independent coordinates, such as {proper!r}")
     return [row for row, _ in places]
 
 

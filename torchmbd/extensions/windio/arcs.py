@@ -52,7 +52,7 @@ class LayerArcs:
         if "width" not in layer or depth > len(self._layers):
             raise InputError(
                 ("layers", name),
-                allowed="start_nd_arc and end_nd_arc, or one and width",
+                allowed="start_nd_arc and end_nd_arc, or one of them and width",
                 noun=f"layer {name!r}",
                 state=f"has no {side}_nd_arc",
             )

@@ -130,7 +130,7 @@ class WindIOBlade:
                 raise InputError(
                     ("layers", name, "thickness"),
                     thickness,
-                    "zero or above",
+                    "zero or positive",
                     state=f"is {thickness:g} m",
                     noun=f"thickness of {name} at {position:g}",
                 )
@@ -152,8 +152,8 @@ class WindIOBlade:
                     made.append(part)
                 else:
                     warn(
-                        f"web {name!r} at {position:g} runs from {part.start:g} to {part.end:g} of the contour, and is "
-                        f"{part.thickness:g} m thick; there is no room for it, and it is left out"
+                        f"web {name!r} at {position:g} of the span, from {part.start:g} to {part.end:g} of the contour, does "
+                        f"not have room for its thickness of {part.thickness:g} m; the reader leaves this web out"
                     )
         plies = [self._solid(layer["material"]) for layer in self._layers.values()]
         angles = [
@@ -249,8 +249,8 @@ def _parts(name: str, position: float, start: float, end: float, profile: Profil
         return [part for part in parts if part[1] - part[0] >= NARROWEST]
     if start - end > BEYOND:
         warn(
-            f"layer {name!r} at {position:g} starts at {start:g} of the contour, behind its end at {end:g}; there is no room "
-            "for it, and it is left out"
+            f"layer {name!r} at {position:g} of the span starts at {start:g} of the contour, after its end at {end:g}; the "
+            "reader leaves this layer out"
         )
     if end - start < NARROWEST:
         return []
@@ -259,7 +259,9 @@ def _parts(name: str, position: float, start: float, end: float, profile: Profil
     if high - low >= NARROWEST:
         return [(low, high)]
     if end - start > BEYOND:
-        warn(f"layer {name!r} at {position:g} lies on the flat trailing edge, and is left out")
+        warn(
+            f"layer {name!r} at {position:g} of the span lies on the flat trailing edge; the reader leaves this layer out"
+        )
     return []
 
 
@@ -267,7 +269,8 @@ def _clipped(name: str, position: float, start: float, end: float) -> tuple[floa
     """Return the part of the contour that a layer covers, cut off at 0 and 1 with a warning."""
     if min(start, 1.0 - end) < -BEYOND:
         warn(
-            f"layer {name!r} at {position:g} reaches from {start:g} to {end:g} of the contour; it is cut off at 0 and 1"
+            f"layer {name!r} at {position:g} of the span reaches from {start:g} to {end:g} of the contour; the reader cuts it "
+            "off at 0 and 1"
         )
     start, end = max(start, 0.0), min(end, 1.0)
     if not start < end:

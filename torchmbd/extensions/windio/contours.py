@@ -56,7 +56,7 @@ class Contours:
         if positions is None and not ((steps <= 0.0).all() or (steps >= 0.0).all()):
             raise InputError(
                 "airfoils",
-                rule="have relative thicknesses that rise and fall: must do one along the span",
+                rule="have relative thicknesses that rise and fall: must only rise or only fall along the span",
                 hint="spanwise_position",
                 noun="airfoils without spanwise_position",
             )
@@ -104,7 +104,7 @@ def _resampled(name: str, coordinates: Mapping[str, Any]) -> Array:
         raise InputError(
             ("airfoils", name, "coordinates"),
             [row.shape for row in rows],
-            "as many x as y, all finite",
+            "equal numbers of x and y, all finite",
             noun=f"coordinates of airfoil {name!r}",
             state=f"are {[row.shape for row in rows]} numbers",
         )

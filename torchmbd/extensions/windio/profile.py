@@ -284,7 +284,10 @@ def _untangled(s: Array, p: Array, depth: Array, normal: Array) -> Array:
         share[wrong] *= _THINNER
     if share.min() < _TOLD:
         k = int(share.argmin())
-        warn(f"the wall at {s[k]:.4f} of the contour has {share[k]:.2f} of its thickness: there is no room for more")
+        warn(
+            f"the wall at {s[k]:.4f} of the contour is reduced to {share[k]:.2f} of its thickness, because the airfoil is too "
+            "thin there"
+        )
     return ends
 
 
@@ -319,9 +322,9 @@ def _web_patches(web: Web, feet: tuple[Array, Array], s: Array, faces: list[Arra
     except KeyError:
         raise InputError(
             ("webs", web.name),
-            allowed="webs apart",
+            allowed="webs that do not meet",
             noun=f"web {web.name!r}",
-            state=f"at {web.start:.4f} and {web.end:.4f} of the contour meets others there",
+            state=f"at {web.start:.4f} and {web.end:.4f} of the contour meets other webs there",
         ) from None
     patches = []
     for j, (number, _) in enumerate(reversed(web.layers)):

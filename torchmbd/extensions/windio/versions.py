@@ -136,7 +136,7 @@ def _version_2(data: Mapping[str, Any], blade: Mapping[str, Any]) -> Entries:
 def _warn_of_parts(inner: Mapping[str, Any], webs: Mapping[str, Any]) -> None:
     """Warn of parts of a section that are not made."""
     if inner.get("trailing_edge_adhesive"):
-        warn("trailing_edge_adhesive is left out: sections have neither its mass nor its stiffness")
+        warn("the reader leaves out trailing_edge_adhesive, so the sections do not include its mass and stiffness")
     for name, web in webs.items():
         if web.get("flanges"):
             warn(
@@ -150,7 +150,7 @@ def named(kind: str, items: Any, *keys: str) -> dict[str, Any]:
     for entry in items:
         name = entry["name"]
         if name in by_name:
-            raise InputError((kind, name), rule="must be there once")
+            raise InputError((kind, name), rule="must appear once")
         for key in keys:
             if key not in entry:
                 raise InputError((kind, name, key), rule="must be there")

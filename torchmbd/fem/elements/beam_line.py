@@ -293,7 +293,7 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
     if parts > 1:
         raise InputError(
             "elements",
-            allowed="one",
+            allowed="one connected part",
             state="is not connected with node 0)",
             noun=f"BeamLine: {parts} disconnected parts (node {stray}",
         )

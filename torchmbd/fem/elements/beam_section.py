@@ -261,7 +261,7 @@ def _isotropic_strain(alpha: Any, change: str) -> Float[Tensor, "*lanes 6"]:
 def free_strain_of(section: BeamSection, change: str) -> Float[Tensor, "*lanes 6"]:
     """Strains of a free section by a unit change; InputError for one that does not expand, or has no coefficient."""
     if not isinstance(section, ExpandingSection):
-        allowed = "one that has free_strain(change), as a Section of plies"
+        allowed = "a section that has free_strain(change), such as a Section of plies"
         raise InputError("section", section, allowed, noun=f"section {section!r}", state="does not expand")
     return section.free_strain(change)
 
@@ -275,7 +275,7 @@ def definite_stiffness(section: BeamSection) -> Float[Tensor, "*lanes 6 6"]:
         where = f" in lane {lane}" * (good.numel() > 1)
         raise InputError(
             "stiffness",
-            rule=f"is not positive definite{where}: it does no work in some motion",
+            rule=f"is not positive definite{where}, so some deformations do not cost energy",
             noun="stiffness of a section",
         )
     return S
@@ -334,6 +334,6 @@ def checked(name: str, matrix: Sequence | Tensor) -> Tensor:
         )
     if not float(torch.linalg.eigvalsh(unit).min()) > 1e-12:
         raise InputError(
-            name, rule="is not positive definite: it does no work in some motion", noun=f"{name} of a section"
+            name, rule="is not positive definite, so some deformations do not cost energy", noun=f"{name} of a section"
         )
     return (A + A.T) / 2

@@ -275,7 +275,12 @@ class ExactBeam(nn.Module):
         fixed, imposed = supported_freedoms(self.name, self.mesh, supports)
         free = torch.tensor([f for f in range(6 * n) if f not in set(fixed)])
         if not len(free):
-            raise InputError((self.name, "supports"), supports, "fewer", state="hold all degrees of freedom")
+            raise InputError(
+                (self.name, "supports"),
+                supports,
+                "at least one free degree of freedom",
+                state="hold all degrees of freedom",
+            )
         data, symmetric = beam_data(
             self.mesh, self.sections, elements, present_nodes(self.mesh), imposed, arguments, massive
         )

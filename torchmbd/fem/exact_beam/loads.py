@@ -77,7 +77,10 @@ def line_loads(name: str, line: BeamLine, wrench: Any) -> Float[Tensor, "m 6"]:
     load = read_wrench(name, wrench)
     if load.shape not in ((6,), (m, 6)):
         raise InputError(
-            name, load, f"3 or 6 numbers, or as many for each of {m} elements", state=f"has shape {tuple(load.shape)}"
+            name,
+            load,
+            f"3 or 6 numbers, or 3 or 6 numbers for each of {m} elements",
+            state=f"has shape {tuple(load.shape)}",
         )
     return load.expand(m, 6)
 
@@ -107,8 +110,8 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
                 if x is not None and places.setdefault(6 * node + i, x) != x:
                     raise InputError(
                         (name, "supports"),
-                        allowed="one",
-                        state=f"put {FREEDOMS[i]} of node {node} at two places",
+                        allowed="one value",
+                        state=f"give {FREEDOMS[i]} of node {node} two values",
                     )
     imposed = torch.zeros(6 * len(line.nodes), dtype=torch.float64)
     imposed[list(places)] = torch.tensor(list(places.values()), dtype=torch.float64)
@@ -138,4 +141,6 @@ def _values(name: str, support: Any) -> list[float | None]:
             numbers = [float("nan")]
         if all(x is None or abs(x) < float("inf") for x in numbers):
             return numbers
-    raise InputError(name, support, f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free")
+    raise InputError(
+        name, support, f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers with None for a free degree of freedom"
+    )

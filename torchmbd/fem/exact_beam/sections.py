@@ -50,7 +50,7 @@ class SpanSections:
                     (name, "section"),
                     section,
                     "0-1, 1-2, ...",
-                    state="is a SectionTable and its line is not a chain",
+                    state="is a SectionTable, but its line is not a chain",
                 )
             self.modules: dict[str, nn.Module] = {"section": self._table}
             return

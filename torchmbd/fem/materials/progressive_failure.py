@@ -85,7 +85,7 @@ def progressive_failure(
         raise InputError(
             "criterion",
             criterion,
-            allowed=f"finite ones with criterion {criterion!r}",
+            allowed=f"finite strengths in the plane for criterion {criterion!r}",
             state="has an infinite strength in its plane",
             noun="a ply",
         )

@@ -263,7 +263,7 @@ def _check_connected(mesh: Cells) -> None:
     if parts > 1:
         raise InputError(
             "elements",
-            allowed="one",
+            allowed="one connected part",
             state=f"is not connected with {mesh.node_name(0)})",
             noun=f"Mesh: {parts} disconnected parts ({mesh.node_name(stray)}",
         )

@@ -224,8 +224,8 @@ def library(size: int) -> type[Triangle]:
 @cache
 def _warn_missing() -> None:
     warn(
-        "cvxopt is not installed: SuperLU factorizes bodies of more than 20,000 degrees of freedom in about ten times the time "
-        "of compiled code with the order of cvxopt; results are equal. Try: pip install 'torchmbd[large]'"
+        "cvxopt is not installed, so SuperLU factorizes bodies of more than 20,000 degrees of freedom. The results are equal, "
+        "but SuperLU takes about ten times as long as compiled code with cvxopt. Try: pip install 'torchmbd[large]'"
     )
 
 

@@ -57,7 +57,9 @@ def check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
             raise unknown("wall", name, names)
     counts = {name: count_of_layers(angles[name]) if name in angles else 0 for name in names}
     if len(set(counts.values())) > 1 or 0 in counts.values():
-        raise InputError("angles", angles, f"as many plies in {', '.join(names)}", state=f"give {counts} plies")
+        raise InputError(
+            "angles", angles, f"the same number of plies in {', '.join(names)}", state=f"have {counts} plies"
+        )
 
 
 def checked_thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np.ndarray:
@@ -181,7 +183,7 @@ def box(
     if not 2 * total < min(number(width), number(height)):
         sizes = f"{number(width):g} m x {number(height):g} m"
         state = f"walls of {total:g} m in {sizes}"
-        raise InputError("thickness", thickness, "less than half of both", noun="box:", state=state)
+        raise InputError("thickness", thickness, "walls of less than half of both dimensions", noun="box:", state=state)
     shared = not isinstance(angles, Mapping)
 
     def build(width: Any, height: Any, thickness: Any) -> list[Patch]:

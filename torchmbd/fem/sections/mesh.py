@@ -155,7 +155,7 @@ class SectionMesh:
         if parts > 1:
             raise InputError(
                 "elements",
-                allowed="one",
+                allowed="one connected part",
                 state="is not connected with node 0)",
                 noun=f"SectionMesh: {parts} disconnected parts (node {stray}",
             )

@@ -95,7 +95,7 @@ class Event:
             "function",
             self.function,
             "a function of the state at each time",
-            "mbd.Position(...) minus a number in place of a displacement since the start",
+            "mbd.Position(...) minus a number, instead of a displacement since the start",
             state=state,
             noun="the function of an event",
         )

@@ -96,7 +96,7 @@ def without_rate(phase: str) -> InputError:
         ("phases", phase, "until"),
         allowed="a function that passes zero, or no gradients",
         noun=f"the function of the event of phase {phase!r}",
-        state="has no rate where it vanishes, so that the time has no derivative",
+        state="has the rate zero where it vanishes, so the time of the event has no derivative",
     )
 
 

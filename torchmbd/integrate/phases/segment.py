@@ -253,8 +253,8 @@ def check_order(phases: Sequence[Phase], duration: float) -> None:
     if phases[-1].until is not None or phases[-1].lasting is not None:
         raise InputError(
             ("phases", names[-1]),
-            allowed="no end, because the last phase lasts until the duration",
-            state="is the last and has an end of its own",
+            allowed="neither, because the last phase ends with the duration",
+            state="is the last phase, but it has until or lasting",
             noun=f"phase {names[-1]!r}",
         )
     times = [0.0, *(p.end_time for p in phases if p.end_time is not None), duration]

@@ -141,9 +141,9 @@ class Expansion:
                 if x
             )
             warn(
-                f"body {self.name!r} has no static shape of its own {where}for a change of {loads}: the shape vanishes or is "
-                "that of other changes, but not so in designs near by. Gradients of displacements by this change are "
-                "incomplete there. Try: slightly different angles or coefficients"
+                f"body {self.name!r} has no static shape of its own {where}for a change of {loads}: this shape vanishes or "
+                "depends on the shapes of other changes, but in neighboring designs it does not. Gradients of displacements "
+                "due to this change are incomplete there. Try: slightly different angles or coefficients"
             )
 
     def _independent_nearby(self) -> Bool[Tensor, " loads"]:

@@ -180,7 +180,7 @@ def _positions(name: str, nodes: Any, read: Sequence[LabeledMatrix]) -> tuple[li
     if labels and len(labels) != len(x):
         raise InputError(
             (name, "matrices"),
-            allowed=f"{len(x)}, the nodes given",
+            allowed=f"{len(x)}, the number of given nodes",
             state=f"refer to {len(labels)} nodes",
         )
     return labels or None, x

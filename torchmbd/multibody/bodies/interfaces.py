@@ -54,7 +54,10 @@ class Interface:
         true_or_false("rigid", self.rigid)
         if self.rigid and self.weights is not None:
             raise InputError(
-                "weights", allowed="one of both", noun="weights of an Interface", state="are given, and it is rigid"
+                "weights",
+                allowed="weights, or rigid=True",
+                noun="weights of an Interface",
+                state="are given, but the interface is rigid",
             )
 
 

@@ -210,7 +210,7 @@ class MatrixStructure:
             raise InputError(
                 (self.name, "M"),
                 M,
-                "the same along all, > 0",
+                "the same positive mass along x, y and z",
                 state=f"has the masses {masses.tolist()} kg along x, y, z",
             )
 
@@ -229,8 +229,8 @@ class MatrixStructure:
                 raise InputError(
                     (self.name, "reference"),
                     reference,
-                    "a node with rotations, or three at least that are not on a line",
-                    state=f"is {reference!r}, and does not hold the body",
+                    "a node with rotations, or at least three nodes that are not on a line",
+                    state=f"is {reference!r}, which does not hold the body",
                 )
             return nodes, held
         T, moments = rigid_motions(x)[:, :3], rigid_motions(x)
@@ -286,7 +286,7 @@ class MatrixStructure:
         if float(values[0]) <= 1e-12 * float(values[-1]):
             raise InputError(
                 (self.name, "modes"),
-                allowed="deformations, no rigid motion",
+                allowed="shapes that deform the body, without rigid motions",
                 state=f"contain one without stiffness (eigenvalues {float(values[0]):g} to {float(values[-1]):g} 1/s2)",
             )
         first = math.sqrt(float(values[0])) / (2.0 * math.pi)

@@ -34,8 +34,8 @@ def warn_mesh(name: str, parts: Iterable[Part]) -> None:
     faults = [fault for part in parts if isinstance(part, Plates) for fault in (*_cells(part), *_plies(part))]
     if faults:
         warn(
-            f"mesh of body {name!r}: {'; '.join(faults)}. Results may be off; compare with a finer mesh, or one of "
-            f"better cells (corners of {CORNERS['quad'][0]:g} to {CORNERS['quad'][1]:g} degrees, below {ASPECT:g} : 1)",
+            f"mesh of body {name!r}: {'; '.join(faults)}. Results may be inaccurate. Try: a finer mesh, or cells with corners "
+            f"of {CORNERS['quad'][0]:g} to {CORNERS['quad'][1]:g} degrees and an aspect ratio below {ASPECT:g}",
         )
 
 

@@ -124,7 +124,7 @@ def _without_mass(assembly: Assembly) -> InputError | None:
     if not len(bad):
         return None
     named, what = _freedom_name(assembly, int(assembly.freedoms.free[bad[0]]))
-    state = f"has stiffness and no mass {what}, as have {len(bad)} degrees of freedom in all"
+    state = f"has stiffness but no mass {what} ({len(bad)} such degrees of freedom)"
     return InputError("M", allowed="a mass or an inertia there", noun=named, state=state)
 
 

@@ -214,7 +214,7 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping
         raise InputError(
             "designs",
             structure["Kr"].shape[0],
-            "one",
+            "one design",
             noun="the body",
             state=f"has {structure['Kr'].shape[0]} designs at once",
         )

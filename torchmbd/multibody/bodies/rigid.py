@@ -176,7 +176,7 @@ def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
         raise InputError(
             (name, "inertia"),
             inertia,
-            "none negative, the sum of any two at least the third",
+            "none negative, and none larger than the sum of the other two",
             state=f"has the principal values {principal.tolist()} kg m2",
         )
     return J

@@ -108,7 +108,7 @@ def _check_stiffness(name: str | Path, K: Tensor) -> None:
 
 
 def _check(name: str, frame: Frame) -> None:
-    allowed = "frames of rigid bodies without design variables, and of the ground"
+    allowed = "frames of the ground or of rigid bodies, without design variables"
     if frame.interpolation is not None:
         raise InputError((name,), allowed=allowed, noun=repr(name), state=f"ends at {frame!r}, on a flexible body")
     if frame.varying is not None or isinstance(frame.body.position, nn.Parameter):

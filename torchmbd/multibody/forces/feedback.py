@@ -80,7 +80,7 @@ class Control:
         """InputError where parameters require a gradient and the output u has none."""
         if torch.is_grad_enabled() and p.requires_grad and not u.requires_grad:
             raise InputError(
-                self.label, allowed="one that depends on its parameters", state=f"gives a detached tensor{_at(t)}"
+                self.label, allowed="a tensor that depends on its parameters", state=f"gives a detached tensor{_at(t)}"
             )
 
     def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:

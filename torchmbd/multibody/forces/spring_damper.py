@@ -48,9 +48,9 @@ class _Between(ForceElement):
         if law is not None and spring != Spring():
             raise InputError(
                 (self.name,),
-                allowed="the one or the others",
+                allowed="a law, or stiffness, damping and rest",
                 noun=repr(self.name),
-                state="has a law and stiffness, damping or rest",
+                state="has a law, and also stiffness, damping or rest",
             )
         if law is None and spring == Spring(rest=getattr(spring, "rest", 0.0)):
             raise InputError(

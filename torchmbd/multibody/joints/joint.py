@@ -166,9 +166,9 @@ class AttachmentTable:
         if float(torch.linalg.cross(a.body.axes @ a.axis(axis), arm).norm()) < _LEAST_ARM:
             raise InputError(
                 (name, "b"),
-                allowed=f"a frame whose {x} axis is across the axis {axis!r} of {a!r}",
+                allowed=f"a frame whose {x} axis is perpendicular to the axis {axis!r} of {a!r}",
                 noun=f"{b!r} of {name!r}",
-                state=f"has its {x} axis along it, from which the angle is measured",
+                state=f"has its {x} axis along the axis of the joint, but the angle is measured from this {x} axis",
                 hint="axes=..., of the frame: body.at(point, axes=...)",
             )
         return self.axis(a, x), self.axis(a, y), self.axis(b, x)
@@ -180,9 +180,8 @@ class AttachmentTable:
             raise InputError(
                 "frame",
                 frame,
-                "numbers",
-                state="has coordinates or axes that vary, but a displacement is measured from where it is at the given "
-                "positions",
+                "constant coordinates and axes",
+                state="has coordinates or axes that vary, but the displacement is measured from its given position",
                 noun=f"{frame!r}",
             )
         for body in (frame.body, other.body):

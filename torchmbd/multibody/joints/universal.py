@@ -42,7 +42,7 @@ class Universal(Joint):
         if skew > _SKEW:
             warn(
                 f"the cross of {self.name!r} is skewed at the start: its second arm, {axes[1]!r} of {a!r}, is {skew:.2g} rad "
-                f"from {axes[1]!r} of {b!r}; allowed: axes of both frames with this arm in common, across both shafts"
+                f"from {axes[1]!r} of {b!r}. Try: frames with the same second arm, perpendicular to both shafts"
             )
 
     def _skew(self) -> float:

@@ -278,8 +278,8 @@ class InitialConditions:
         if gap > _STRAINING:
             energy = float((stored_energy(T, data, after) - stored_energy(T, data, before)).max())
             warn(  # few different texts: Python shows each once in an optimization
-                f"closing the joints strains exact beams: rigid motions leave gaps of {gap:.1g} m or rad, and the "
-                f"start gains {energy:.1g} J of strain energy; allowed: beams that fit between their joints"
+                f"closing the joints strains exact beams, because rigid motions leave gaps of {gap:.1g} m or rad. The "
+                f"strain energy increases by {energy:.1g} J. Try: beams that fit between their joints"
             )
 
     def compatible(self, dynamics: Any, q: Any, v: Any):

@@ -75,7 +75,7 @@ def _refuse_padding(name: str, Kr: Tensor, w: Tensor) -> None:
         raise InputError(
             ("start", name),
             allowed="zeros for modes beyond the number that was requested",
-            state="starts with modal coordinates or rates of more modes than a design retains",
+            state="has initial modal coordinates or rates of modes that a design does not retain",
             noun=f"{name!r}",
         )
 
@@ -87,9 +87,9 @@ def _refuse_turned(name: str, same: Tensor, w: Tensor) -> None:
         return
     raise InputError(
         ("start", name),
-        allowed="zeros for these modes, gradients by variables that do not change its modes, or the last state of a "
-        "motion with the same gradients",
-        state="starts with modal coordinates or rates of modes of equal frequency, which turn with the design "
-        "without a derivative",
+        allowed="zeros for these modes, gradients with respect to variables that do not change these modes, or the last "
+        "state of a motion with the same gradients",
+        state="has initial modal coordinates or rates of modes of equal frequency. These modes have no derivatives "
+        "with respect to the design",
         noun=f"{name!r}",
     )

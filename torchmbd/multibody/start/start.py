@@ -91,7 +91,9 @@ class Start:
         if not isinstance(start, Mapping):
             mapping = "'body.quantity' -> numbers, such as {'rod.modal': [0.01, 0.0]}"
             words = ", ".join(map(repr, STARTS))
-            raise InputError("start", start, f"{words}, a motion, whose last state it is, or {mapping}")
+            raise InputError(
+                "start", start, f"{words}, a motion, which the new one continues from its last state, or {mapping}"
+            )
         return cls(numbers={name: _checked(system, name, x) for name, x in start.items()})
 
     @classmethod
@@ -103,9 +105,13 @@ class Start:
         similar = similar and all(abs(a - b) <= MORE for a, b in zip(at.mode_counts, T.mode_counts, strict=True))
         if not similar or q.shape[1:] != (at.n_q,) or v.shape[1:] != (at.n_v,):
             shown = f"a motion of {q.shape[-1]} coordinates"
-            raise InputError("start", q, f"one of a system like this, with {T.n_q}", shown=shown)
+            raise InputError(
+                "start", q, f"a motion of a system of the same kind, with {T.n_q} coordinates", shown=shown
+            )
         if not all_true(torch.isfinite(q)) or not all_true(torch.isfinite(v)):
-            raise InputError("start", q, "motions that are ok", shown="a motion whose last state is not finite")
+            raise InputError(
+                "start", q, "a motion with the status 'ok'", shown="a motion whose last state is not finite"
+            )
         return cls(state=(q, v), topology=at, stiffness=stiffness)
 
     @property

@@ -47,7 +47,7 @@ class SupportedBody:
             lack = "no degrees of freedom to support" if vibrating else "no stress"
             raise InputError(
                 (body.name,),
-                allowed="one of elements",
+                allowed="a body of elements",
                 noun=f"body {body.name!r}",
                 state=f"of {what} is made of matrices, which give {lack}",
             )
@@ -83,7 +83,12 @@ class SupportedBody:
             if f in row:
                 self.imposed[row[f], 0], kept[row[f]] = value, False
         if not bool(kept.any()):
-            raise InputError("supports", supports, "fewer", state=f"hold all degrees of freedom of {body.name!r}")
+            raise InputError(
+                "supports",
+                supports,
+                "at least one free degree of freedom",
+                state=f"hold all degrees of freedom of {body.name!r}",
+            )
         self.kept = kept.nonzero()[:, 0]
         self.pattern, self._positions = self.assembly.pattern.restrict(self.kept)
         with torch.no_grad():
@@ -167,8 +172,8 @@ def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, 
                 if x is not None and imposed.setdefault(6 * node + i, x) != x:
                     raise InputError(
                         (body.name, "supports"),
-                        allowed="one",
-                        state=f"put {FREEDOMS[i]} of node {node} at two places",
+                        allowed="one value",
+                        state=f"give {FREEDOMS[i]} of node {node} two values",
                     )
     return imposed
 
@@ -181,7 +186,7 @@ def _values(body: FlexibleBody, where: Any, support: Any) -> list[float | None]:
             return [0.0 if name in names else None for name in FREEDOMS]
     elif isinstance(support, Sequence) and len(support) == 6 and all(x is None or _finite(x) for x in support):
         return [None if x is None else float(x) for x in support]
-    allowed = f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
+    allowed = f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers with None for a free degree of freedom"
     raise InputError((body.name, "supports", str(where)), support, allowed, noun=f"support {where!r} of {body.name!r}")
 
 

@@ -151,7 +151,7 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
         hint = f"; joints or forces hold other bodies of the names {', '.join(map(repr, others))}" if others else ""
         raise InputError(
             "bodies",
-            allowed=f"a joint for every body, or free={loose} for bodies that fly on purpose",
+            allowed=f"a joint for every body, or free={loose} for bodies that are meant to be free",
             state=f"holds {', '.join(map(repr, loose))}{hint}",
             noun="no joint and no force",
         )

@@ -64,7 +64,7 @@ def refuse_lost_constants(system: Any) -> None:
             x = owner._buffers.get(name, owner._parameters.get(name) if name in _CONSTANTS else None)
             if x is not None and (name in owner._parameters or x.requires_grad or is_differentiated(x)):
                 label = name if owner is system else f"{owner.name}.{name}"
-                allowed = "a tensor that requires none"
+                allowed = "a tensor that does not require a gradient"
                 if name in _VARIABLES:
                     allowed += ", or a Parameter given to the constructor"
                 raise InputError(

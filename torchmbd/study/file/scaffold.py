@@ -134,7 +134,11 @@ def parts_of(model: str, folder: Path) -> Parts:
     bodies = [body.name for body in system.bodies if isinstance(body, FlexibleBody)]
     if not bodies:
         raise InputError(
-            "model", model, "a system with one at least", state="has no flexible body", noun=f"model {model!r}"
+            "model",
+            model,
+            "a system with at least one flexible body",
+            state="has no flexible body",
+            noun=f"model {model!r}",
         )
     parameters = {name: x.detach().numpy() for name, x in system.named_parameters() if x.requires_grad}
     return Parts(bodies[0], parameters, _options(function))

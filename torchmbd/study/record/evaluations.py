@@ -91,7 +91,7 @@ class Evaluations:
         if numbers and sealed == numbers + self._checksum((design, bool(gradients), m, status), numbers):
             return numbers
         warn(
-            f"an evaluation in {self.file} was altered after it was written: it is not used, and made again",
+            f"an evaluation in {self.file} was altered after it was written. torchmbd does not use it, and computes it again",
         )
         return None
 

@@ -119,8 +119,8 @@ def load_run(run: str, uri: str | StoreURI | None = None, model: Models = ()) ->
     key = entry.tags.get("problem_key")
     if key and key != problem_key(study.simulated):
         warn(
-            f"{config.data['model']} or what it reads, torchmbd or torch has changed since run {entry.run_id[:8]}: "
-            "its numbers may be others now",
+            f"{config.data['model']}, a file that it reads, torchmbd or torch has changed since run {entry.run_id[:8]}, so a "
+            "new motion may differ from the record of the run",
         )
     x = _set_design(study, design.data, design.source, design.lines)
     return LoadedStudy(entry, study, x, entry.metrics.get("objective", float("nan")))

@@ -140,4 +140,4 @@ class Native:
 
     def _fail(self, why: str) -> None:
         self._failed = True
-        warn(f"{self.source} cannot be compiled, torch does its work more slowly: {why}")
+        warn(f"{self.source} cannot be compiled, so slower operators of torch are used: {why}")

@@ -126,8 +126,8 @@ class SystemFrequency(OfVibrations):
                 )
         if true_or_false("follow", self.follow) and self.cluster is not None:
             raise InputError("follow", allowed="with a number", state=f"is True with cluster {self.cluster}")
-        if scalar("power", self.power, "a finite number but 0") == 0.0:
-            raise InputError("power", self.power, "a finite number but 0")
+        if scalar("power", self.power, "a finite number other than 0") == 0.0:
+            raise InputError("power", self.power, "a finite number other than 0")
 
     def value(self, motion: Trajectory) -> Tensor:
         states = self.states(motion, torch.tensor([float(self.speed)], dtype=torch.float64))
