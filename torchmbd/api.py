@@ -132,8 +132,8 @@ def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Pa
 
     run    run id, its beginning, or the name of a study (its latest run)
     uri    the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
-    model  the Python file, or module, of the model: "studies/arm.py", "package.module"; several where the phases come
-           from another. Nothing else that the store may name is executed
+    model  the Python file, or module, of the model: "studies/arm.py", "package.module"; a list of several if the phases are
+           in another file. `load` does not execute any other file that the store names
 
     >>> study = mbd.load("arm", model="arm_model.py")  # after `torchmbd new arm.yaml` and `torchmbd run arm.yaml`
     >>> study.x.shape, study.value > 0.0, study.motion.status
@@ -150,7 +150,7 @@ def problem_of(file: str | Path, *assignments: str) -> Problem:
     file         the experiment file (YAML)
     assignments  overrides of single values, as at the command line: "options.layers=2"
 
-    The problem has no tolerances and no increments of the file: the caller adds them (RobustProblem, optimize_discrete).
+    The problem does not contain the tolerances and increments of the file. Add them by RobustProblem and optimize_discrete.
     Nothing is tracked. Raises InputError with every fault of the file.
 
     >>> problem = mbd.problem_of("arm.yaml", "simulate.steps=100")  # after `torchmbd new arm.yaml`

@@ -40,7 +40,7 @@ class InputError(MbdError, ValueError):
     path     the keys to the argument, the last of which is its name: ("design", "rod.laminate.angles", "upper")
     value    its value
     allowed  the values that are allowed, "a positive number"; or the names of which the value must be one
-    rule     the sentence about what must be: "must lie between 0 and 1"
+    rule     the requirement as a predicate: "must lie between 0 and 1"
     hint     the remedy, which the message adds after "Try: "
 
     An error that was made of a sentence alone has an empty path, and its value is None.
@@ -115,7 +115,7 @@ class InputError(MbdError, ValueError):
         return self.predicate("=")
 
     def predicate(self, verb: str = "is") -> str:
-        """The message without its subject; `verb`: before a value that stands beside values that are allowed."""
+        """The message without its subject; `verb`: the word before the value if the message says what is allowed."""
         if self.rule:
             value = f"= {self._shown}: " if self._shown else ""
             text = f"{value}{self.rule}"
@@ -149,7 +149,7 @@ class SimulationFailure(MbdError):
     A failed design of a batch gives a status, not an exception; `require_ok` turns the status into this error.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
-    >>> motion.require_ok() is motion  # raises SimulationFailure where a lane has failed
+    >>> motion.require_ok() is motion  # raises SimulationFailure if a lane has failed
     True
     """
 

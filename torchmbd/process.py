@@ -131,7 +131,7 @@ class threads:
 
 
 def thread_count() -> int:
-    """Return the number of threads of compiled code; InputError where TORCHMBD_THREADS is not a positive integer."""
+    """Return the number of threads of compiled code; InputError if TORCHMBD_THREADS is not a positive integer."""
     if _stated:
         return _stated[0]
     if (text := os.environ.get(THREADS)) is None:

@@ -32,9 +32,9 @@ class Aggregate(Measure):
     """One smooth number [lanes] for all rows of measures, in their unit, not below the largest row.
 
     measures   a measure, as AtTimes with many rows, or several in one unit
-    kind       "ks" (Kreisselmeier-Steinhauser), or "p_norm", for rows of which the largest is positive
+    kind       "ks" (Kreisselmeier-Steinhauser), or "p_norm", which requires that the largest row is positive
     sharpness  rho or p, positive: the larger, the nearer to the largest row, and the less smooth [-]
-    scale      c of "ks", positive: the size of the rows, in their unit; "p_norm" needs none
+    scale      c of "ks", positive: the size of the rows, in their unit; "p_norm" does not use it
 
     `largest(motion)` is the largest row itself.
     Source: Kreisselmeier and Steinhauser (1979).

@@ -38,8 +38,8 @@ class Angle(History):
     body       the body that turns
     axis       "x", "y", "z" or a direction of three numbers, in the axes of the observer
     seen_from  the observer: a body or "ground"
-    center     the angle is within half a turn of this one at the start [rad]
-    wrapped    within half a turn of `center` at all times: it jumps by a turn, which measures of a motion refuse
+    center     the angle at the start is within half a turn of `center` [rad]
+    wrapped    True: the angle is within half a turn of `center` at all times. It then jumps by a turn, so measures refuse it
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
     >>> round(mbd.Angle("bob", "z")(motion)[0, -1].item(), 2)

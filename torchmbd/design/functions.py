@@ -150,7 +150,7 @@ def measure(function: Any = None, unit: str | None = None) -> Any:
     function  motion -> [lanes], any unit, of torch operations, as for `history`
     unit      SI unit of the values, such as "J": @mbd.measure(unit="J")
 
-    A call raises InputError where the function returns another shape.
+    A call raises InputError if the function returns another shape.
 
     >>> @mbd.measure
     ... def spread(motion):

@@ -67,7 +67,7 @@ class Problem(Summary):
 
     system      the model; its parameters are the candidates for design variables
     duration    simulated time [s]
-    minimize    a measure, such as Integral(StrainEnergy("rod")); of several rows: their largest
+    minimize    a measure, such as Integral(StrainEnergy("rod")); if it has several rows, the largest row is minimized
     maximize    a measure of one number, instead of `minimize`. Evaluations and results of optimizers have its negative, which
                 is minimized; tables, records and pictures of a study have its value
     subject_to  a constraint, such as Max(StrainEnergy("rod")) <= "initial", or a list of them
@@ -168,7 +168,7 @@ class Problem(Summary):
     def settings(self) -> list[Any]:
         """All settings that determine the evaluations, except the values of the design variables.
 
-        Bounds are among them where the unit of the extra variable of a min-max problem comes from them.
+        They contain the bounds if the unit of the extra variable of a min-max problem depends on the bounds.
         """
         space, responses = self.space, [self.objective, *self.constraints]
         motion = [
@@ -226,7 +226,7 @@ class Problem(Summary):
 
     @property
     def period(self) -> np.ndarray:
-        """Period of each variable [n]: pi for ply angles, of links a multiple; 0 (none) for others."""
+        """Period of each variable [n]: pi for ply angles, a multiple for linked angles, 0 for variables without period."""
         return self._with_bound(self.space.period, 0.0)
 
     @property

@@ -57,7 +57,7 @@ class History(ConstantArguments):
 
     @property
     def smooth(self) -> bool:
-        """True if the history is smooth between the switches of a motion, so that it may be looked at between its samples."""
+        """True if the history is smooth between the switches of a motion, so that it may be interpolated between samples."""
         return True
 
     @property
@@ -393,8 +393,8 @@ class Constraint(ConstantArguments):
     """A limit on a measure, eq. (37); written Max(...) <= 0.5, Min(...) >= "initial" or Final(...).equals(0.0).
 
     measure  g, one number or several rows
-    limit    c, in the unit of the measure; "initial": the value at the initial design; of several rows the largest of <=, the
-             least of >=, and of an equality every row has its own
+    limit    c, in the unit of the measure; "initial": the value at the initial design. If the measure has several rows, this
+             is their largest value for <=, their least value for >=, and the value of each row for an equality
     kind     "at_most", "at_least" or "equal"
     scale    divisor of the violation, in the unit of the measure; None: |c|, or 1 for c = 0
 

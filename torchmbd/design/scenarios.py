@@ -64,9 +64,9 @@ class Scenarios(Problem):
     weights      of the scenarios in means; None: equal. They are divided by their sum
     options      maximize, bounds, variables, start, links, method, steps, phases and options of the method, as in Problem
 
-    A limit "initial" is the value of the initial design in the same scenario; of constraints "worst" and "mean", the worst
-    and the mean of these values. A WeightedSum is normalized by its value in the first scenario. A design that fails in one
-    scenario is a failed evaluation that names the scenario.
+    A limit "initial" is the value of the initial design in the same scenario. With constraints "worst" or "mean" it is the
+    worst or the mean of these values. A WeightedSum is normalized by its value in the first scenario. If a
+    design fails in one scenario, its evaluation fails and names the scenario.
 
     >>> problem = mbd.Scenarios(
     ...     mbd.examples.arm(),
@@ -183,10 +183,10 @@ class Scenarios(Problem):
         return len(self.scenarios) if self._constraint_rule == "each" else 1
 
     def largest(self, x: np.ndarray) -> str:
-        """Name of the scenario in which the objective of a design [n] is largest; a motion that fails counts least.
+        """Name of the scenario in which the objective of a design [n] is largest; a failed motion counts as the smallest.
 
-        If several scenarios have the same objective, for example a mass, the result is the scenario among these that is
-        nearest to its limit, or farthest beyond it.
+        If several scenarios have the same objective, for example a mass, the constraints decide: the result is the scenario
+        that is nearest to its limit, or farthest beyond it.
         """
         motions = self.motions_by_system(x)
         # [scenarios, rows].
@@ -225,7 +225,7 @@ class Scenarios(Problem):
         return self._motion(group.simulation, self._designs(X, [group.settings[name]]), gradients)
 
     def motions(self, x: np.ndarray) -> Trajectory:
-        """Motions of one design [n], a lane for each scenario; InputError where they have several systems."""
+        """Motions of one design [n], a lane for each scenario; InputError if they have several systems."""
         if len(self.groups) > 1:
             raise InputError(
                 "scenarios",

@@ -137,7 +137,7 @@ class DesignSpace:
 
     @cached_property
     def map(self) -> csr_array:
-        """Derivatives of all entries by the variables [entries, n]."""
+        """Derivatives of all entries with respect to the variables [entries, n]."""
         entry, variable, factor = self.links
         return csr_array((factor, (entry, variable)), (len(self.entries), len(self.names)))
 

@@ -99,8 +99,9 @@ class _Residual:
 
 @exclusive
 def static_truncation(system: System) -> StaticTruncation | None:
-    """The largest lack of flexibility at joints and forces, in the present design of a system, that the retained modes cause;
-    None where no joint and no force acts on a flexible body of known stiffness.
+    """Find the largest flexibility that the retained modes leave out at joints and forces, in the present design of a system.
+
+    None if no joint and no force acts on a flexible body of known stiffness.
 
     >>> found = mbd.static_truncation(mbd.examples.arm())
     >>> found.share < 0.02, found.body  # of the stiffness in the first vibrations

@@ -75,7 +75,7 @@ def seconds_of(duration: Any) -> Any:
 
 
 def duration_is_differentiated(duration: Any, gradients: str, integrator: Integrator) -> bool:
-    """True if the motion is differentiated with respect to its duration; InputError where this derivative does not exist."""
+    """True if the motion is differentiated with respect to its duration; InputError if this derivative does not exist."""
     if not isinstance(duration, Tensor) or not is_differentiated(duration):
         return False
     obstacle = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"
@@ -93,7 +93,7 @@ def duration_is_differentiated(duration: Any, gradients: str, integrator: Integr
 
 
 def check_phase_times(phases: Any, gradients: str, integrator: Integrator) -> None:
-    """InputError where the time of a phase is differentiated, but the gradients of the motion do not reach it."""
+    """InputError if the time of a phase is differentiated, but the gradients of the motion do not reach it."""
     if gradients not in ("forward", "none") and integrator.adjoint:
         return
     for number, phase in enumerate(phases if isinstance(phases, (list, tuple)) else (), 1):
@@ -142,7 +142,7 @@ def start_of(system: System, start: Any) -> Start:
 
 
 def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
-    """InputError where the start is differentiated, but the gradients of the motion do not reach it."""
+    """InputError if the start is differentiated, but the gradients of the motion do not reach it."""
     if start.is_differentiated and (gradients == "forward" or (gradients != "none" and not integrator.adjoint)):
         raise InputError(
             "start",

@@ -91,7 +91,7 @@ def likely_backend(backend: str) -> type[Backend]:
 
 
 def backend_of(dynamics: Dynamics) -> Backend:
-    """The backend whose name dynamics carry; InputError where it is not installed, as on another machine."""
+    """The backend whose name dynamics carry; InputError if it is not installed, as on another machine."""
     if dynamics.backend not in BACKENDS:
         raise InputError(
             "backend",

@@ -41,7 +41,7 @@ def variable_names(
 
 
 def refuse_other_designs(names: Sequence[str], designs: Mapping[str, Tensor]) -> None:
-    """InputError where a design is being differentiated, but is none of the variables of these names."""
+    """InputError if a design is being differentiated, but is none of the variables of these names."""
     for name, x in designs.items():
         if name not in names and is_differentiated(x):
             raise InputError(

@@ -78,7 +78,7 @@ def all_true(x: Tensor) -> bool:
 
 
 def refuse_gradients(name: str | Path, value: Any, allowed: str = "numbers") -> None:
-    """InputError where a number, or one of a list or mapping of numbers, is being differentiated."""
+    """InputError if a number, or one of a list or mapping of numbers, is being differentiated."""
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, _CONTAINERS):
@@ -91,7 +91,7 @@ def refuse_gradients(name: str | Path, value: Any, allowed: str = "numbers") -> 
 
 
 def refuse_derivatives(name: str | Path, x: Tensor, instead: str) -> None:
-    """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
+    """InputError if x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
     if is_differentiated(x):
         raise InputError(
             name, allowed=f"x.detach(), and {instead}", state="is being differentiated, which would be lost here"

@@ -46,7 +46,7 @@ class Pattern:
     start   where each row begins among the values, with the end, int32 [size + 1]; by symmetry each column, too
     column  of each value, int32 [nnz]
 
-    Raises InputError where coordinates are out of range, unsorted, repeated or without their mirror image, and where there
+    Raises InputError if coordinates are out of range, unsorted, repeated or without their mirror image, and where there
     are 2^31 of them or more.
     """
 

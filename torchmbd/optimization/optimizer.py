@@ -201,8 +201,8 @@ class OptimizationResult(Summary):
     gradient_evaluations  how many of them carried gradients
     failures              how many of them failed
     reasons               of the failures, with how often each occurred, the commonest first
-    history               accepted designs, the start first; the start and the result are evaluated by the last `accuracy`,
-                          designs between them by that of their entry
+    history               accepted designs, the start first. The start and the result are evaluated with the last `accuracy`;
+                          every other design has the `accuracy` of its entry
     multipliers           of the constraints [m]
     bound_multipliers     [n], positive at an upper, negative at a lower bound
     kkt_residual          of the scaled problem (kkt.py), at most the method's option `kkt` where it converged; nan where no

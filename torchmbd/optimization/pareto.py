@@ -137,12 +137,12 @@ def pareto_front(
     problem     a Tradeoff, or another problem of several criteria
     divisions   steps between two anchors; C(divisions + k - 1, k - 1) points in all, of k criteria
     starts      of the anchors' searches, as in `multistart`
-    ended       called with every OptimizationResult when its search ends; its value is that of the search alone
+    ended       called with every OptimizationResult when its search ends; its value is the objective of this search
     everywhere  use the starts for every point too, for problems with local fronts
     method, max_iterations, max_lanes, feasibility, options   of every search, as in `multistart`
 
-    Raises InputError as `optimize`, for fewer than two criteria, and where no feasible design is found for an anchor. Ctrl-C
-    returns what there is, once the anchors are known.
+    Raises InputError for the same reasons as `optimize`, for fewer than two criteria, and if the search for an anchor does
+    not find a feasible design. After the anchors are known, Ctrl-C returns the points that are finished.
 
     >>> deflection, mass = mbd.RMS(mbd.Displacement("arm", "z", node="right")), mbd.Mass("arm")
     >>> tradeoff = mbd.Tradeoff(

@@ -114,7 +114,7 @@ class RobustProblem:
         return self.over(getattr(self.problem, "coarse", None))
 
     def refined(self, x: np.ndarray) -> RobustProblem | None:
-        """The problem of the accuracy that the nominal design of a point [n] needs; None: it has it."""
+        """A problem as accurate as the nominal design of a point [n] requires; None: this problem is accurate enough."""
         refine = hasattr(type(self.problem), "refined")
         return self.over(self.problem.refined(self.design(x))) if refine else None  # type: ignore[attr-defined]
 
@@ -140,7 +140,7 @@ class RobustProblem:
         return getattr(self.problem, "accuracy", "")
 
     def over(self, problem: Any) -> RobustProblem | None:
-        """The same tolerances over another evaluation of the same designs; None of none."""
+        """The same tolerances with another problem that evaluates the same designs; None for None."""
         if problem is None:
             return None
         other = copy.copy(self)

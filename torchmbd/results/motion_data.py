@@ -220,7 +220,7 @@ class MotionData(Summary):
         return self.tangents("lam")
 
     def tangents(self, name: str, rows: Rows = None) -> Tensor | None:
-        """Sensitivities of rows [lanes, times, k, n_b]; InputError where gradients come by the adjoint."""
+        """Sensitivities of rows [lanes, times, k, n_b]; InputError if gradients come by the adjoint."""
         from_adjoint = self.integration is not None and self.stats.get("gradients") == "reverse"
         if from_adjoint:
             raise InputError(

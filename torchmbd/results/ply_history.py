@@ -167,7 +167,7 @@ def require_plies(body: object) -> None:
 
 
 def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
-    """The changes of temperature and moisture of a body; InputError where a phase of the motion has other laws for them."""
+    """The changes of temperature and moisture of a body; InputError if a phase of the motion has other laws for them."""
     forces = [force for force in motion.system.forces if isinstance(force, Temperature)]
     changes = [force for force in forces if force.body is body and force.laws]
     for actions in motion.actions:  # of each phase

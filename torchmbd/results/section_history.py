@@ -188,7 +188,7 @@ class SectionHistory:
 
 
 def beams_of(body: object) -> dict[str, Beams]:
-    """The beams of a body; InputError where it has none."""
+    """The beams of a body; InputError if it has none."""
     beams = getattr(body, "beams", None)
     if not beams:
         name = getattr(body, "name", body)
@@ -209,7 +209,7 @@ def laminated(body: object) -> dict[str, Section]:
 
 
 def plies_of(body: object) -> list[Any]:
-    """The plies of a body's plates and laminated beams; InputError where it has none."""
+    """The plies of a body's plates and laminated beams; InputError if it has none."""
     sections = laminated(body)
     if not sections:
         require_plies(body)

@@ -52,7 +52,7 @@ OF_EQUILIBRIUM: Registry[Callable[..., Any]] = Registry("of_equilibrium", {})
 
 
 def of_equilibrium(name: str) -> Callable[..., Any]:
-    """A function of equilibria by its name; InputError where it is not installed."""
+    """A function of equilibria by its name; InputError if it is not installed."""
     if name not in OF_EQUILIBRIUM:
         noun = f"{name.replace('_', ' ')} of an equilibrium"
         raise InputError(name, rule=f"are not known: {OF_EQUILIBRIUM.missing(name)}", noun=noun)

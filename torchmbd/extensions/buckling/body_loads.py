@@ -50,7 +50,7 @@ def interpolations(system: System, body: FlexibleBody) -> list[InterpolationCons
 
 
 def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
-    """The loads on one body. Raises InputError where phases of the motion have laws of forces of their own."""
+    """The loads on one body. Raises InputError if phases of the motion have laws of forces of their own."""
     laws = [law for kind in motion.system.topology.actions for law in kind.laws]
     for kinds in motion.actions:  # of each phase
         phase_laws = [law for kind in kinds for law in kind.laws]

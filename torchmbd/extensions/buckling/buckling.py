@@ -92,7 +92,7 @@ def buckling(
 class BucklingCase:
     """A body with loads and supports, ready to find its buckling factors in any design: `case(number)`.
 
-    body, loads, supports, changes as in `buckling`. Raises InputError where these are wrong.
+    body, loads, supports, changes as in `buckling`. Raises InputError if these are wrong.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class BucklingCase:
     def __call__(self, number: int = 1) -> Buckling:
         """The lowest positive factors, and shapes, of the present design.
 
-        Raises InputError where the supports leave the body movable, or number is not possible.
+        Raises InputError if the supports leave the body movable, or number is not possible.
         """
         supported, assembly = self.supported, self.supported.assembly
         if not is_whole(number) or not 1 <= number <= supported.pattern.size:

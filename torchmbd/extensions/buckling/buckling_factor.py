@@ -40,7 +40,7 @@ class BucklingFactor(Measure):
               motion, 1 over the peak of BucklingIndex
     supports  nodes -> degrees of freedom that are held, as "u1 u3", or imposed; None: the reference nodes
     number    1 is the lowest
-    changes   of temperature or moisture that grow with the loads, as in `buckling`; loads may then be None for none
+    changes   of temperature or moisture that grow with the loads, as in `buckling`; loads=None then means no loads
     If several factors are equal, the gradient is their mean gradient, as for `Frequency`.
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)

@@ -44,7 +44,7 @@ GROWTH = 24  # most shapes that a round adds
 class BucklingSeries:
     """Buckling indices of a body on supports, for any series of stress states.
 
-    body, supports   as in `buckling`, without imposed displacements. Raises InputError where these are wrong
+    body, supports   as in `buckling`, without imposed displacements. Raises InputError if these are wrong
     """
 
     def __init__(self, body: FlexibleBody, supports: Supports | None = None) -> None:
@@ -71,7 +71,7 @@ class BucklingSeries:
         displacements   of all nodes, whose stresses are the k stress states
         c               factors of the states at each time
         changes         of the last displacements, as in `SupportedBody.geometric`
-        Raises InputError where the supports leave the body movable, or number is not possible.
+        Raises InputError if the supports leave the body movable, or number is not possible.
         """
         supported, lanes = self.supported, len(c)
         if number > supported.pattern.size:

@@ -131,7 +131,8 @@ class FatigueDamage(Measure):
 
     body      its name: laminated plates, and beams with a Section of plies
     exponent  of power laws through the static strengths of the plies, N = (A(mean) / amplitude)^exponent; one, or one for
-              each component: {"11": 14, "22": 10, "12": 10} (other components have no damage); plies then need a Strength
+              each component: {"11": 14, "22": 10, "12": 10} (other components have no damage); it requires a Strength of
+              every ply
     curves    component -> SNCurve, instead of power laws: "11" along the fibers, "22" across, "12", "13", "23" shear
     repeats   number of repetitions of the motion, positive [-]
 

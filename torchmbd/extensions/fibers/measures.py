@@ -96,7 +96,7 @@ class FiberDivergence(_PathMeasure):
 
 
 def steered_parts(system: System, name: str) -> list[Any]:
-    """The parts of a body whose laminates are steered; InputError where there are none."""
+    """The parts of a body whose laminates are steered; InputError if there are none."""
     body = system.body(name)
     parts = [part for part in getattr(body, "plates", {}).values() if isinstance(part.laminate, SteeredLaminate)]
     if not parts:

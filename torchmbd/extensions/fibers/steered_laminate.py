@@ -45,7 +45,7 @@ class SteeredLaminate(Laminate):
     """A stack of plies that vary over a mesh; parameters `.angles` [controls, layers] [rad] and `.thickness` [m].
 
     ply               one Ply, or one per given layer; its numbers do not vary
-    angles            [controls, layers], from bottom to top [rad]; or [layers], where all controls start
+    angles            [controls, layers], from bottom to top [rad]; or [layers], the initial value of all controls
     thickness         [controls, layers] [m]; or a number, or [layers], which does not vary over the mesh: as in Laminate.
                       A torch.nn.Parameter with an axis of controls is registered itself
     field             control points and how cells follow from them

@@ -31,8 +31,8 @@ class Experiment(Summary):
     measurements  a measurement, such as mbd.TimeSeries(...), or a list of them
     settings      parameter -> value [SI] in this experiment, for parameters that are not unknowns
     duration      of the motion [s]; None: until the last measured time
-    steps         equal steps of the motion; None: as many as the first motion needs (`simulate`), the same in all later ones,
-                  and more where `identify` finds that their error moves an unknown by a part of its deviation
+    steps         equal steps of the motion; None: as many as `simulate` chooses for the first motion. `identify` takes more
+                  steps if their error moves an unknown by too large a part of its standard deviation
     method, phases, backend, start, options   as in `simulate`
 
     >>> t = np.linspace(0.0, 1.0, 50)
@@ -112,7 +112,7 @@ class Experiment(Summary):
         limits   bounds of the unknowns of its measurements, by name
         start    values of parameters where the search begins, by name [1, ...]; those of other systems are left out
 
-        A model that has no state there leaves out nothing: the search says what fails, and others may begin elsewhere.
+        If the model fails at the start, nothing is left out. The search then reports the failure.
         """
         last = max(measurement.until(limits) for measurement in self.measurements)
         result = object.__new__(Experiment)

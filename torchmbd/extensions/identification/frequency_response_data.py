@@ -48,7 +48,7 @@ class FrequencyResponseData(Measurement):
     form        what is compared: "complex", the real and the imaginary part, or "polar", the logarithm of the magnitude and the
                 phase
     deviation   name -> standard deviation of both parts, in the unit of the response or, of "polar", [-] and [rad]: a number,
-                or one for each row, by which rows have weights; estimated from the residuals where there is none
+                or one for each row, which weights the rows; None: estimated from the residuals
     options     of `equilibrium`: spin, center, observer for a steady rotation, times. Fixed sensors and forces perpendicular
                 to the axis need observer="ground"
 

@@ -57,7 +57,7 @@ class Identification(Summary):
     step_error    shift of the unknowns that the time steps cause; None without time steps, or if the fit has not converged
     start_doubts  warnings about the sizes of data and model at the start
 
-    `fit["bob.mass"]` is the value of an unknown; of a parameter with one entry its index may be left out.
+    `fit["bob.mass"]` is the value of an unknown. The index may be left out if the parameter has one entry.
 
     >>> x = mbd.Position("bob", "x")
     >>> truth = mbd.simulate(mbd.examples.pendulum(), 1.0, steps=50)
@@ -131,7 +131,7 @@ class Identification(Summary):
 
     @cached_property
     def _jacobian(self) -> np.ndarray:
-        """Derivatives of the residuals at the solution [rows, n]; InputError where there is none."""
+        """Derivatives of the residuals at the solution [rows, n]; InputError if there is none."""
         jacobian = self.fit.residuals.jacobian
         if jacobian is None:
             raise InputError(
@@ -239,7 +239,7 @@ class Identification(Summary):
 
     @property
     def singular_values(self) -> np.ndarray:
-        """Singular values of the Jacobian by searched unknowns in units of their sizes, in deviations; below 1 is unseen."""
+        """Singular values of `jacobian` for the searched unknowns, scaled by `size`; the data do not see values below 1."""
         return singular_values(self._jacobian[:, self.searched], self.size[self.searched])[0]
 
     @cached_property
@@ -383,7 +383,7 @@ class Identification(Summary):
         return self._profiles[key]
 
     def to_frame(self) -> DataFrame:
-        """A row for each unknown: value, standard deviation, interval of 95 %, start, bounds, whether it is at one."""
+        """A row for each unknown: value, standard deviation, interval of 95 %, start, bounds, whether it is at a bound."""
         import pandas as pd
 
         ends = self.interval

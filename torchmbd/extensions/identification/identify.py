@@ -74,8 +74,8 @@ def identify(
     bounds, start, links   as in DesignSpace, by names of parameters; a delay needs finite bounds. Masses, moduli and
                      other positive parameters are at least 0
     priors           parameter name -> (mean, standard deviation): prior knowledge of an unknown
-    scales           parameter name -> size of its changes; default: |start|, or by the data where the start is zero, or tiny
-                     beside the range of its bounds, and of offsets and delays
+    scales           parameter name -> size of its changes; default: |start|. The data determine the scale of offsets and
+                     delays, and the scale of a parameter whose start is zero or tiny compared with the range of its bounds
     validation       experiments that are held out: the fitted model is compared with them
     loss, f_scale    "linear", "soft_l1", "huber", "cauchy" or "arctan", and the residual, in deviations, beyond which one
                      counts as an outlier; as in scipy.optimize.least_squares. Priors are never outliers

@@ -69,7 +69,7 @@ class ModalData(Measurement):
     modes        without shapes: numbers of the modes of the model, 1 for the lowest that is not a rigid motion; default: 1,
                  2, ...
     frequency_share, damping_share   standard deviations, as shares of what was measured
-    least_mac    of a pair of modes
+    least_mac    smallest MAC (modal assurance criterion) of a measured mode and its partner in the model
     options      of `equilibrium`: spin, center, observer for vibrations in a steady rotation, times
 
     >>> modes = mbd.ModalData([0.35, 1.2], damping=[0.01, np.nan])

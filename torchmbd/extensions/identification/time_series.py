@@ -159,7 +159,7 @@ class TimeSeries(Measurement):
 
 
 def _times(table: Table, time: str) -> np.ndarray:
-    """The column of times in seconds; InputError where they do not increase, with the line."""
+    """The column of times in seconds; InputError if they do not increase, with the line."""
     factor, si = table.factor(time, None)
     if si not in (None, "s"):
         raise InputError("time", time, "s, ms", noun=f"unit of the times {time!r}", shown=f"of [{si}]")

@@ -56,15 +56,15 @@ def recover_blended_stacks(
     """Find stacks of equal plies for the lamination parameters of several zones, which share their plies.
 
     laminates  of each zone, of one material; without `coupling` all stacks are symmetric
-    plies      number of plies of each zone; of symmetric stacks all even or all odd. Zones with equal numbers have one stack
+    plies      number of plies of each zone; for symmetric stacks all even or all odd. Zones with equal numbers have one stack
     angles     the allowed angles [rad]
-    rules      rules that every stack should satisfy; a result with fewer broken rules is better, whatever its distance
+    rules      rules that every stack should satisfy; a result with fewer broken rules comes before one with less distance
     areas      weight of each zone, such as its area [m2]; default: equal weights
     weights    of the differences of membrane, coupling and bending parameters
     seed       of the random starts
 
-    Returns the stack of every zone with its own `distance`. Its `laminate` is as thick as that of the zone: plies have one
-    thickness in all zones if `plies` is in proportion to it.
+    Returns the stack of every zone with its own `distance`. Its `laminate` has the thickness of the zone. So plies have
+    the same thickness in all zones if the numbers `plies` are proportional to the thicknesses of the zones.
 
     >>> carbon, flat = mbd.examples.carbon(), [0.0, 0.0, 0.0, 0.0]
     >>> zones = {"root": mbd.LaminationParameters(carbon, 2e-3, flat), "tip": mbd.LaminationParameters(carbon, 1e-3, flat)}

@@ -36,13 +36,13 @@ from torchmbd.math.variable import varies
 
 
 class LaminationParameters(Laminate):
-    """A laminate of one ply by lamination parameters; `.membrane`, `.coupling`, `.bending` [4] and `.thickness` vary.
+    """A laminate given by its lamination parameters; `.membrane`, `.coupling`, `.bending` [4] and `.thickness` vary.
 
     ply         a Ply; its numbers do not vary
     thickness   of the whole laminate [m]; a number does not vary
     membrane    means over the thickness of cos 2t, sin 2t, cos 4t, sin 4t, with the ply angle t [4]
-    bending     the same weighted with 12 z^2 / h^2 [4]; None: those of `membrane`, as for many thin alternating plies
-    coupling    the same weighted with 4 z / h [4]; None: a symmetric stack
+    bending     means of these functions with the weight 12 z^2 / h^2 [4]; None: equal to `membrane`, as for many thin plies
+    coupling    means of these functions with the weight 4 z / h [4]; None: zero, as for a symmetric stack
     field       of parameters that vary over a mesh: [controls, 4], thickness [controls] or a number
     shear_correction   k of As = k h G
     checked     False: also accept numbers that no stack has (the stiffness must be positive definite)

@@ -77,7 +77,7 @@ def _conditions(system: System, name: str) -> Tensor:
 
 
 def _laminates(system: System, name: str) -> list[LaminationParameters]:
-    """The laminates of a body that are given by lamination parameters; InputError where there are none."""
+    """The laminates of a body that are given by lamination parameters; InputError if there are none."""
     plates = getattr(system.body(name), "plates", {}).values()
     laminates = [part.laminate for part in plates if isinstance(part.laminate, LaminationParameters)]
     if not laminates:

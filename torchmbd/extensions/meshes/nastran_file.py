@@ -25,7 +25,7 @@ _REMEDY = "mbd.read_bdf reads it, or says why it cannot"
 
 
 def check_nastran(path: Path) -> None:
-    """InputError where meshio would lose the place of a node, an offset, an element, a mass or a tie."""
+    """InputError if meshio would lose the place of a node, an offset, an element, a mass or a tie."""
     for card in read_cards(path):
         if card.name == "GRID" and card.integer(2, "CP", 0):
             raise _refusal(card, "must be 0, because meshio ignores coordinate systems", "CP", card.text(2))

@@ -19,7 +19,7 @@ from torchmbd.fem.materials import Laminate
 def zone_parts(
     file: MeshFile, laminate: Laminate | Mapping[str, Laminate], direction: Sequence[float] | Tensor, mass: str
 ) -> dict[str, Part]:
-    """Make a part of each laminate. InputError where a zone does not exist, or a cell has no laminate or two."""
+    """Make a part of each laminate. InputError if a zone does not exist, or a cell has no laminate or two."""
     mesh, zones = file
     if isinstance(laminate, Laminate):
         return {"plate": Plates(mesh, laminate, direction, mass=mass)}

@@ -108,7 +108,7 @@ def _body(path: str | Path, deck: Deck, scale: Units, mass: str, density: float 
 
 
 def _check_control(data: BulkData, control: Control | None) -> None:
-    """InputError where the case control makes another structure, or may do so where there is none.
+    """InputError if the case control makes another structure, or may do so where there is none.
 
     It adds a DMIG to mass or stiffness, or gives a temperature to materials that depend on it.
     """

@@ -72,7 +72,7 @@ class Link:
 
 
 def read_solid(card: Card) -> Solid:
-    """Read a solid. InputError where some of the nodes on its sides are missing."""
+    """Read a solid. InputError if some of the nodes on its sides are missing."""
     corners, nodes = SOLIDS[card.name]
     count = sum(1 for word in card.fields[2 : nodes + 2] if word not in ("", "0"))
     if count not in (corners, nodes):

@@ -130,7 +130,7 @@ def _changes(text: DeckText, card: Card, stacks: list[_Stack]) -> dict[int, list
 
 
 def _continuations(text: DeckText, first: int, card: Card) -> list[int]:
-    """Indices of the lines that continue a card. InputError where the card repeats another, or is repeated."""
+    """Indices of the lines that continue a card. InputError if the card repeats another, or is repeated."""
     indices = []
     for index in range(first, len(text.lines)):
         line = text.lines[index].partition("$")[0].rstrip()

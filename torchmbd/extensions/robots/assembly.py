@@ -181,7 +181,7 @@ class _Builder:
         return immobile
 
     def _consistent(self, key: str, name: str, x: float, leader: str) -> float:
-        """x; InputError where a caller asks for another position or velocity of a joint that mimics another."""
+        """x; InputError if a caller asks for another position or velocity of a joint that mimics another."""
         value = self.requests[key].get(name, x)
         reason = f"it mimics {leader!r}" if leader else "the file holds it"
         if abs(value - x) > 1e-9 * max(1.0, abs(x)):
@@ -211,7 +211,7 @@ class _Builder:
         self.robot = replace(self.robot, joints=kept[::-1])
 
     def check_limits(self) -> None:
-        """InputError where joints start beyond their limits, as stops would have large forces there."""
+        """InputError if joints start beyond their limits, as stops would have large forces there."""
         beyond = {}
         for joint in self.robot.joints:
             q = self.q[joint.name]
@@ -403,7 +403,7 @@ def _place(
 
 
 def _physical(link: str, J: np.ndarray, mass: float) -> tuple[np.ndarray, bool]:
-    """J without negative principal values by rounding, and whether a mass can have it; InputError where J is negative."""
+    """J without negative principal values by rounding, and whether a mass can have it; InputError if J is negative."""
     values, axes = np.linalg.eigh(J)
     if values[0] < -FLAT * mass - 1e-9 * values[2]:
         raise InputError(

@@ -210,7 +210,7 @@ def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJ
 
 
 def by_unique_name(file: str, kind: str, items: Iterable[Any]) -> dict[str, Any]:
-    """Return links or joints by name; InputError where a name is repeated."""
+    """Return links or joints by name; InputError if a name is repeated."""
     entries: dict[str, Any] = {}
     for x in items:
         if x.name in entries:

@@ -78,9 +78,9 @@ def campbell(
     axis, center     of the rotation: "x", "y", "z" or a vector, and a point [m]
     observer         "turning" with the machine, or in the "ground", as in `equilibrium`
     designs          as in `simulate`
-    modes            number of vibrations, from the slowest at the first speed; fewer if there are no more
+    modes            number of vibrations, from the lowest at the first speed; fewer if the system has fewer
 
-    Raises InputError where a speed has no steady state.
+    Raises InputError if a speed has no steady state.
 
     >>> mass = mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0))
     >>> hold = mbd.Bushing(mbd.Ground().at(), mass.at(), (200.0,) * 3, (2.0,) * 3)

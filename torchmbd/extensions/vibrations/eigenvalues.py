@@ -214,7 +214,7 @@ class _Eigenproblem:
                 raise self._coincide(lane, [modes[i] for i in members])
 
     def _refuse_split(self, lane: int, pairs: Sequence[tuple[int, int]], blocks: Tensor) -> None:
-        """DesignFailure where derivatives [parts, pairs, tangents] of eigenvalues that coincide differ along a direction."""
+        """DesignFailure if derivatives [parts, pairs, tangents] of eigenvalues that coincide differ along a direction."""
         modes, _ = self._columns()
         for members in self._told_apart(lane, modes):
             of = [k for k, (i, j) in enumerate(pairs) if i in members and j in members]

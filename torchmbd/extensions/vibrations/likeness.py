@@ -62,7 +62,7 @@ class NodalShape(NamedTuple):
 
 
 class MostAlike:
-    """A `Choice` of the vibration most like a shape, in each lane; DesignFailure where none is sure.
+    """A `Choice` of the vibration most like a shape, in each lane; DesignFailure if none is sure.
 
     shapes   [n_v, lanes or 1], in the coordinates of each lane
     name     of the vibration, for messages

@@ -52,7 +52,7 @@ class LinearSystem:
     """x' = A x + B u, y = C x + D u about a state; arrays of NumPy, as scipy.signal and `control.ss` take them.
 
     states, inputs, outputs   their names
-    shapes                    increments of the coordinates by the first half of the states [n_v, n]
+    shapes                    increments of the coordinates for unit values of the first half of the states [n_v, n]
 
     >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
     >>> system = mbd.System([hinge.b.body], [hinge], gravity=(0.0, -9.81, 0.0))

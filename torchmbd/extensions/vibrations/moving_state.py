@@ -86,7 +86,7 @@ class MovingLinearization:
 
     @property
     def A(self) -> Tensor:
-        """State matrix [2 n, 2 n] of (z, z'); DesignFailure where something moves without a mass."""
+        """State matrix [2 n, 2 n] of (z, z'); DesignFailure if something moves without a mass."""
         factored_inertia(self.M.detach())
         n = len(self.rows)
         unit, none = torch.eye(n, dtype=self.M.dtype), self.M.new_zeros(n, n)

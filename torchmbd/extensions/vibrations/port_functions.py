@@ -82,7 +82,7 @@ class PortFunctions:
         return self.outputs(q, data, observer, unit, still), self.outputs(q, data, observer, still, unit)
 
     def require_steady(self, q: Tensor, data: Any, observer: Observer) -> None:
-        """InputError where an input or an output is another after a turn of a steady rotation; q [n_q, 1, 1]."""
+        """InputError if an input or an output is another after a turn of a steady rotation; q [n_q, 1, 1]."""
         if not isinstance(observer, SteadyRotation) or not bool(observer.spin.any()):
             return
         T = self.topology

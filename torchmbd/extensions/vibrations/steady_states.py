@@ -114,7 +114,7 @@ def steady_states(
     designs: Mapping[str, Tensor] | None = None,
     t: float = 0.0,
 ) -> SteadyStates:
-    """States of steady rotation of all designs at all speeds [n] [rad/s], rising; InputError where there is none."""
+    """States of steady rotation of all designs at all speeds [n] [rad/s], rising; InputError if there is none."""
     return _steady_states(system, speeds, shaft or Shaft(), designs, t)
 
 

@@ -102,7 +102,7 @@ class AnchorArcs:
         return self._handle(path, anchor, handle, position, profile, ())
 
     def whole_web(self, name: str, position: float) -> None:
-        """InputError where a layer covers a part of its web."""
+        """InputError if a layer covers a part of its web."""
         layer = self._layers[name]
         anchors = self._of_webs[layer["web"]]
         for side, expected in TRAILING_EDGE.items():

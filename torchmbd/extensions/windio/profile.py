@@ -123,7 +123,7 @@ class Profile:
 def profile_section(
     profile: Profile, layers: list[Layer], webs: list[Web], cells: int = 60, order: int = 2
 ) -> SectionMesh:
-    """The mesh; layers from outside to inside. InputError where walls cannot be meshed; it names a web without room."""
+    """The mesh; layers from outside to inside. InputError if walls cannot be meshed; it names a web without room."""
     feet = [(_feet(web, profile, +1), _feet(web, profile, -1)) for web in webs]
     for web, pair in zip(webs, feet, strict=True):
         low, high = min(x.min() for x in pair), max(x.max() for x in pair)

@@ -26,7 +26,7 @@ class SpanValues:
 
 
 def span_values(path: Path, table: Mapping[str, Any], unit: float = 1.0) -> SpanValues:
-    """Read numbers along the span; InputError where grid and values are not as many rising and finite numbers.
+    """Read numbers along the span; InputError if grid and values are not as many rising and finite numbers.
 
     path   the keys to the entry
     table  the entry: `grid` and `values`

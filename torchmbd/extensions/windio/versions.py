@@ -145,7 +145,7 @@ def _warn_of_parts(inner: Mapping[str, Any], webs: Mapping[str, Any]) -> None:
 
 
 def named(kind: str, items: Any, *keys: str) -> dict[str, Any]:
-    """Return entries by name; InputError where a name is repeated or a key is missing."""
+    """Return entries by name; InputError if a name is repeated or a key is missing."""
     by_name: dict[str, Any] = {}
     for entry in items:
         name = entry["name"]

@@ -67,7 +67,7 @@ class Straight(nn.Module):
 
 
 def evaluate_nodes(shape: nn.Module) -> Tensor:
-    """Return the present nodes of a module [n, 3] without gradient; InputError where it returns something else."""
+    """Return the present nodes of a module [n, 3] without gradient; InputError if it returns something else."""
     with torch.no_grad():
         nodes = shape()
     if not isinstance(nodes, Tensor) or nodes.dtype != torch.float64 or nodes.ndim != 2 or nodes.shape[1] != 3:

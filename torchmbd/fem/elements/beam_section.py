@@ -54,7 +54,7 @@ class ExpandingSection(BeamSection, Protocol):
 class GivenSection(nn.Module):
     """A section of known matrices. `.matrix` is a parameter, the stiffness; it requires no gradient by default.
 
-    stiffness   6 x 6, symmetric and positive definite; of a design the symmetric part
+    stiffness   6 x 6, symmetric and positive definite; for other designs its symmetric part counts
     mass        6 x 6, symmetric and positive definite, of a plane section (polar inertia = sum of the other two)
 
     An entry may be mbd.variable(...): a design variable, "section.stiffness_55" or "section.mass_11", rows and columns from 1.
@@ -267,7 +267,7 @@ def free_strain_of(section: BeamSection, change: str) -> Float[Tensor, "*lanes 6
 
 
 def definite_stiffness(section: BeamSection) -> Float[Tensor, "*lanes 6 6"]:
-    """Stiffness of a section in the present design; InputError where it is not positive definite."""
+    """Stiffness of a section in the present design; InputError if it is not positive definite."""
     S = section.stiffness()
     good = torch.linalg.cholesky_ex(plain_numbers(S))[1] == 0
     if not all_true(good):

@@ -61,7 +61,7 @@ def facets(
 
     direction: the laminate's x-axis in mesh axes, projected into every cell, [3] or one for each cell of the
     mesh [m, 3].
-    Raises InputError where it is zero or normal to a cell.
+    Raises InputError if it is zero or normal to a cell.
     """
     d = cell_directions(mesh, direction)
     members = torch.arange(len(mesh.cells[kind])) if members is None else members
@@ -78,7 +78,7 @@ def facets(
 
 
 def cell_directions(mesh: Mesh, direction: Sequence[float] | Tensor) -> Float[Tensor, "m 3"]:
-    """Return the material direction of each cell of the mesh. Raises InputError where its shape is wrong."""
+    """Return the material direction of each cell of the mesh. Raises InputError if its shape is wrong."""
     d = reals("direction", direction)
     if d.shape not in ((3,), (mesh.cell_count, 3)):
         raise InputError(

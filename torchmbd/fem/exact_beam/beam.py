@@ -49,8 +49,8 @@ class BeamState(NamedTuple):
 
     nodes      places [*lanes, n, 3], m
     rotations  of the nodes, from their axes without load to space [*lanes, n, 3, 3]
-    forces     (N, V_y, V_z, T, M_y, M_z) at start and end of each element, about its section's axes [*lanes, m, 2, 6]; loads
-               along the line act at nodes, so N and V are those of the middle of an element
+    forces     (N, V_y, V_z, T, M_y, M_z) at start and end of each element, about its section's axes [*lanes, m, 2, 6]. Line
+               loads act at the nodes, so N and V are constant in an element: the values at its middle
     reactions  forces and moments of the supports on the beam at their nodes, in mesh axes [*lanes, n, 6]
     factor     the part of the loads that was reached: 1 if the status is "ok" [*lanes]
     status     "ok", or the reason why the beam cannot carry the loads (limit point, buckling, no convergence) in the first
@@ -163,10 +163,10 @@ class ExactBeam(nn.Module):
         """Find the equilibrium that is reached while all loads grow together from zero.
 
         loads               nodes -> force [N], or force and moment [N, N m], in mesh axes; they keep their directions
-        follower_loads      the same in the axes of the section (of the first element at the node); they turn with it
+        follower_loads      loads in the axes of the section (of the first element at the node), with which they turn
         line_load           force [N/m], or force and moment, per length without load, in mesh axes: 3 or 6 numbers, or
                             as many for each element; it keeps its direction
-        follower_line_load  the same in the axes of the elements' sections; it turns with them
+        follower_line_load  line load in the axes of the elements' sections, with which it turns
         supports            nodes -> degrees of freedom that are held, as "u1 u2 u3", or "all"; or six numbers, displacements
                             and a rotation vector [m, rad], None where it is free. None: all of "start"
         gravity             [m/s2]
@@ -179,7 +179,7 @@ class ExactBeam(nn.Module):
 
         Differentiable, forward and reverse, by parameters of sections, line and twist, and by loads, changes, gravity, spin
         and center that are tensors. Moments that keep their directions and follower loads have no potential: for these a
-        change of the determinant's sign counts as buckling. Raises InputError where arguments are wrong.
+        change of the determinant's sign counts as buckling. Raises InputError if arguments are wrong.
 
         >>> flat = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=1e-4, Iyy=1e-9, Izz=1e-10, J=3e-10)
         >>> beam = mbd.ExactBeam("strip", mbd.BeamLine.straight(1.0, 8), flat)

@@ -76,7 +76,7 @@ class SpanSections:
         return rule._replace(weight=rule.weight * matrices.length.sum(-1)[..., None, None])
 
     def stiffness(self, rule: Rule) -> Float[Tensor, "*lanes p g 6 6"]:
-        """Stiffness at the points of a rule (g is 1 where it is the same); InputError where it is not positive definite."""
+        """Stiffness at the points of a rule (g is 1 where it is the same); InputError if it is not positive definite."""
         matrices = self._at("stiffness", rule)
         good = torch.linalg.cholesky_ex(untransformed(matrices))[1] == 0
         if not all_true(good):
@@ -205,7 +205,7 @@ def element_properties(
     offset, twist  of the sections [2] or [m, 2]; [], [m] or [m, 2]
     changes        kinds of change whose free strains are computed
 
-    Raises InputError where an element turns by more than LARGEST, or a section is not positive definite.
+    Raises InputError if an element turns by more than LARGEST, or a section is not positive definite.
     """
     ends = twist[..., None].expand(*twist.shape, 2) if twist.dim() < 2 else twist
     m = len(matrices.elements)

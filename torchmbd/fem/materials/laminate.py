@@ -164,7 +164,7 @@ class Laminate(nn.Module):
         return result
 
     def forward(self) -> Float[Tensor, "*lanes 21"]:
-        """Return `entries()`: the form in which torch.func.functional_call asks for the laminate."""
+        """Return `entries()`, so that torch.func.functional_call can evaluate the laminate with other parameters."""
         return self.entries()
 
     def entries(self) -> Float[Tensor, "*lanes 21"]:
@@ -202,7 +202,7 @@ class Laminate(nn.Module):
         return result
 
     def isotropic_stiffness(self) -> LaminateStiffness:
-        """Stiffness of the stack whose every ply is replaced by its own mean over all directions, whatever the angles."""
+        """Stiffness of the stack with each ply averaged over all directions; it does not depend on the angles."""
         Q, G = self.layer_stiffness
         direct, mixed = plane_invariants(Q)
         none = torch.zeros_like(direct)

@@ -87,7 +87,7 @@ class Strength:
             )
 
     def numbers(self) -> Float[Tensor, "*lanes 8"]:
-        """Collect Xt, Xc, Yt, Yc, S12, S13, S23, interaction: the form in which the criteria take them."""
+        """Collect Xt, Xc, Yt, Yc, S12, S13, S23, interaction in one tensor for the criteria."""
         return stacked([*(getattr(self, name) for name in self.positive), self.interaction])
 
 
@@ -179,7 +179,7 @@ def missing_strength(body: str) -> InputError:
 
 
 def required_strength(body: str, numbers: Float[Tensor, "... 8"] | None, criterion: str) -> Float[Tensor, "... 8"]:
-    """Return strengths of plies; InputError where one lacks them, or those that the criterion compares with."""
+    """Return strengths of plies; InputError if one lacks them, or those that the criterion compares with."""
     if numbers is None:
         raise missing_strength(body)
     if criterion == "interlaminar" and bool(untransformed(numbers)[..., 5:7].isinf().all(-1).any()):

@@ -40,7 +40,7 @@ class MaterialAxes:
     axes_at: Callable[[Tensor, Tensor], Tensor]
 
     def of_cells(self, mesh: Mesh) -> Float[Tensor, "m 3"]:
-        """Directions of all cells of a mesh, unit vectors. Raises InputError where no axis lies in a cell."""
+        """Directions of all cells of a mesh, unit vectors. Raises InputError if no axis lies in a cell."""
         centers = torch.cat([mesh.nodes.detach()[corners].mean(1) for corners in mesh.cells.values()])
         normals = mesh.normals.detach()
         axes = self.axes_at(centers, normals)

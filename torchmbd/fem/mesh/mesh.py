@@ -41,7 +41,7 @@ def _none(corners: int) -> Tensor:
 
 
 def node_members(kind: str, name: Any, members: Any) -> tuple[int, ...]:
-    """Read the node indices of the set `name` of a `kind` of mesh; InputError where they are not a list of whole numbers."""
+    """Read the node indices of the set `name` of a `kind` of mesh; InputError if they are not a list of whole numbers."""
     where = f"node_sets of a {kind}: {name!r}"
     nodes = indices(where, list(members) if isinstance(members, (Sequence, set)) else members)
     if nodes.dim() != 1:
@@ -59,8 +59,8 @@ class Mesh:
     lines                     node pairs: beams, rigid links [k, 2]
     node_sets                 name -> node indices; a set of one node is a named node
     node_labels, cell_labels  names of nodes and cells in messages, such as the cards of a file
-    as_given                  whether nodes may share one place, cells have the same corners, and neighbors be wound in
-                              opposite senses, as in models whose elements say what is joined: warnings instead of errors
+    as_given                  True: warnings instead of errors for nodes at one place, for cells with the same corners, and for
+                              neighbors with opposite senses. Models of other programs may need this
 
     >>> corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=torch.float64)
     >>> mesh = mbd.Mesh(corners, quads=torch.tensor([[0, 1, 2, 3]]), node_sets={"tip": [2]})

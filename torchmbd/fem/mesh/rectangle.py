@@ -32,7 +32,7 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     kind: "quad", or "triangle", two in each cell.
 
     Node sets: "left_edge", "right_edge" (x = -+length/2), "bottom_edge", "top_edge" (y = -+width/2), the corners
-    "corner_left_bottom" and so on, and where a node exists there: "left", "right", "bottom", "top" (middles of
+    "corner_left_bottom" and so on. If there are nodes at these points, also "left", "right", "bottom", "top" (middles of
     the edges) and "center".
 
     >>> plate = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(8, 2))

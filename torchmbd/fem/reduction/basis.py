@@ -80,10 +80,11 @@ def modal_basis(
     cluster  smallest accepted gap to the first discarded mode, relative to its eigenvalue
     updated  True: derivatives of the modes are part of all derivatives; False: modes are held fixed and only Kr has a
              derivative, Psi' dK Psi (eq. 36; for comparison, it is wrong in general)
-    more     further modes that a lane may retain, so that it is cut in a wide gap (cut.py); other lanes are padded with zeros
+    more     number of further modes that a lane may retain, so that the gap to the discarded modes is wide (cut.py); lanes
+             with fewer modes are padded with zeros
 
-    Raises InputError: entries not finite, K or M not symmetric, M not positive definite, n out of range; CutCluster, an
-    InputError that knows its lanes, where n cuts a cluster.
+    Raises InputError if entries are not finite, K or M is not symmetric, M is not positive definite, or n is out of range.
+    Raises CutCluster, an InputError with the lanes, if n separates modes of equal frequency.
 
     >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64)  # three masses in a chain
     >>> basis = mbd.modal_basis(K, torch.ones(3, dtype=torch.float64), 2)

@@ -80,9 +80,9 @@ def eigenpair_branches(
 
     matrices  from a design vector to K and M (forms as for modal_basis), in operations that torch.func.jvp can nest
     cluster   relative distance below which eigenvalues, and then their slopes, count as equal; n must not cut a cluster
-    orders    number of derivatives of K and M that are used; the last but one may still split a cluster
+    orders    number of derivatives of K and M that are used; derivatives up to the order `orders` - 1 can split a cluster
 
-    Raises InputError as modal_basis does, and when orders is smaller than 1.
+    Raises InputError for the same reasons as modal_basis, and if orders is smaller than 1.
 
     >>> def matrices(b):  # two modes of equal frequency at b = 0
     ...     return torch.diag(torch.stack([1.0 + b[0], 1.0 - b[0]])), torch.ones(2, dtype=torch.float64)

@@ -56,7 +56,7 @@ def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Te
 
 
 def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
-    """Interface degrees of freedom as integers; InputError where they are out of range, repeated, none or all."""
+    """Interface degrees of freedom as integers; InputError if they are out of range, repeated, none or all."""
     freedoms = tuple(indices("interface", list(interface)).tolist())
     for i in freedoms:
         if not 0 <= i < size:

@@ -59,7 +59,8 @@ def craig_bampton(
     n                              number of fixed-interface modes; 0: static condensation
     interface                      rows of K, each once
 
-    Raises InputError as modal_basis does, when the interface is empty, and when K is singular with the interface held.
+    Raises InputError for the same reasons as modal_basis, and if the interface is empty, or K is singular with the interface
+    held.
 
     >>> K = torch.tensor([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]], dtype=torch.float64)  # a free chain of three masses
     >>> basis = mbd.craig_bampton(K, torch.ones(3, dtype=torch.float64), n=1, interface=[0, 2])

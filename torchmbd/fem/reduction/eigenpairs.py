@@ -98,8 +98,8 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
     M        the same, or a vector [..., N], the diagonal of a lumped mass
     cluster  relative distance below which neighbors are one cluster, which n must not cut; see the module header
 
-    Raises InputError as modal_basis does. A backward pass through values and vectors that coincide, or through one of
-    these vectors alone, raises it too.
+    Raises InputError for the same reasons as modal_basis. A backward pass through values and
+    vectors that coincide, or through one of these vectors alone, raises it too.
 
     >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64, requires_grad=True)
     >>> values, vectors = mbd.eigenpairs(K, torch.ones(3, dtype=torch.float64), 1)
@@ -211,7 +211,7 @@ class _Refusal(FirstDerivative):
 def _refuse(
     values: Tensor, accuracy: Tensor, cluster: float, g: Tensor | None, X: Tensor, noise: Tensor | None
 ) -> Tensor:
-    """Zeros [..., n, n]; InputError where derivatives of single modes were asked for that do not exist.
+    """Zeros [..., n, n]; InputError if derivatives of single modes were asked for that do not exist.
 
     g, X   cotangents of values [..., n] and of R [..., n, n], which must not tell one mode of a cluster from another: a
            function of a span has a symmetric block, one of its values alone has equal g. None, C: a direction, which

@@ -198,7 +198,7 @@ def check(name: str, form: Form, values: Tensor) -> None:
 
 
 def check_positive_diagonal(form: Form, values: Tensor) -> None:
-    """Raise InputError where a diagonal entry of M is not positive: it cannot be positive definite then."""
+    """Raise InputError if a diagonal entry of M is not positive: it cannot be positive definite then."""
     diagonal = form.diagonal(values)
     wrong = diagonal <= 0
     if wrong.any():

@@ -37,7 +37,7 @@ def spectral_function(
     g        of eigenvalues of any shape, element by element, in torch operations, with a derivative between any two of
              them, such as `lambda x: torch.exp(-x * t)`. Other tensors in it have their gradients too
 
-    Source: module header. Raises InputError where g does not return a float64 tensor of the shape that it is given.
+    Source: module header. Raises InputError if g does not return a float64 tensor of the shape that it is given.
 
     >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64)
     >>> basis = mbd.modal_basis(K, torch.ones(3, dtype=torch.float64), 3)

@@ -33,7 +33,7 @@ class StaticLoads:
         self.layout = layout(self.form, Diagonal(pattern.size))
 
     def __call__(self, K: SparseMatrix, F: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes N k"]:
-        """K^-1 F. Raises InputError where K is not positive definite."""
+        """K^-1 F. Raises InputError if K is not positive definite."""
         lanes = np.broadcast_shapes(K.values.shape[:-1], F.shape[:-2])
         values = K.values.expand(*lanes, -1).reshape(-1, K.pattern.nnz)
         columns = F.expand(*lanes, *F.shape[-2:]).reshape(-1, *F.shape[-2:])

@@ -43,7 +43,7 @@ def angles_of_walls(angles: Angles | Mapping[str, Angles]) -> Mapping[str, Angle
 
 
 def count_of_layers(angles: Any) -> int:
-    """Return the number of plies; InputError where angles are not a list."""
+    """Return the number of plies; InputError if angles are not a list."""
     if isinstance(angles, str) or not hasattr(angles, "__len__") or getattr(angles, "ndim", 1) != 1:
         raise InputError("angles", angles, "one angle per ply, such as mbd.deg([45, -45]) [rad]")
     return len(angles)
@@ -292,7 +292,7 @@ def i_section(
 
     angles     {"top": ..., "web": ..., "bottom": ...}: plies of the flanges from bottom to top, of the web from left to
                right (its normal is y, its tangent -z); the section's angles are those of top, web, bottom, one after the
-               other. All three have as many plies
+               other. All three have equal numbers of plies
     thickness  of every ply, or one for each ply of a wall
     cells      along each half of a flange, along the web, through each ply
 

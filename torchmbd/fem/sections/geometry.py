@@ -54,7 +54,7 @@ class SectionGeometry:
     def with_dimensions(self, x: Float[Tensor, "*lanes e"]) -> SectionGeometry:
         """Return the same mesh with dimensions x, in the order of `mesh.dimensions`.
 
-        Raises InputError where that turns an element inside out.
+        Raises InputError if that turns an element inside out.
         """
         if not x.shape[-1]:
             return self

@@ -36,8 +36,8 @@ KINDS = (3, 4, 6, 8)
 class SectionMesh:
     """See the module header. `elements` becomes a tuple of arrays, one for each kind, in the order given.
 
-    dimensions   design variables of its shape: name -> a Parameter, and the nodes of a unit of each entry [entries, n, 2], of
-                 which the nodes are linear functions; made by the sections of generators.py
+    dimensions   design variables of its shape: name -> a Parameter, and the derivatives of the nodes with respect to each entry
+                 [entries, n, 2]; the nodes are linear in the entries. The sections of generators.py make it
     """
 
     nodes: Float[Tensor, "n 2"]

@@ -90,7 +90,7 @@ class Orthotropic:
 
     @classmethod
     def of(cls, ply: Lamina | Orthotropic) -> Orthotropic:
-        """Complete a ply as transversely isotropic; InputError where its G23 admits no such solid."""
+        """Complete a ply as transversely isotropic; InputError if its G23 admits no such solid."""
         if isinstance(ply, Orthotropic):
             return ply
         if not isinstance(ply, Lamina):

@@ -67,10 +67,10 @@ def c_section(
     """A channel that opens to +y: outer width of its flanges, outer height of its web.
 
     angles     of the plies from inside to outside, in all walls; or {"bottom": ..., "web": ..., "top": ...}, which makes the
-               section's angles those of bottom, web, top, one after the other. All walls have as many plies
+               section's angles those of bottom, web, top, one after the other. All walls have equal numbers of plies
     thickness  of every ply, or one for each ply of a wall
     cells      along each wall, through each ply
-    radius     of the inside of the corners, which are sharp by default; elements of order 1 make a polygon of 4 sides of it
+    radius     of the inside of the corners, which are sharp by default; elements of order 1 approximate it by 4 straight sides
 
     >>> section = mbd.sections.c_section(0.03, 0.06, mbd.examples.carbon(), mbd.deg([0, 45]), thickness=1e-3, cells=(4, 1))
     >>> round(section.mass()[0, 0].item() / 1586.0 * 1e6, 6)  # area: 2 mm x (60 + 2 x 28) mm

@@ -206,8 +206,8 @@ class Section(nn.Module):
     def free_strain(self, change: str) -> Float[Tensor, "*lanes 6"]:
         """Strains of the free section by a unit change: by Betti, <stress of unit forces, free strain>.
 
-        The shear strains are those on which shear forces do work. An unsymmetric strip has other ones by lamination theory:
-        moments of the plies, which accompany a shear force, work on the free curvature across the strip.
+        The shear strains are conjugate to the shear forces. In an unsymmetric strip they differ from the shear strains of
+        lamination theory: a shear force causes moments of the plies, which do work on the free curvature across the strip.
         """
         return self.geometry.energy(self.unit_fields().stress, self._free_strains(change))[..., 0]
 

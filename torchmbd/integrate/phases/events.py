@@ -101,7 +101,7 @@ class Event:
         )
 
     def require_instants(self, in_motion: Tensor, alone: Tensor) -> None:
-        """InputError if values of states in a motion are others than those of each state without this motion."""
+        """InputError if the value at a time of the motion depends on other times of the motion."""
         size = torch.maximum(in_motion.abs(), alone.abs())
         if bool(((in_motion - alone).abs() > ROUNDING * size).any()):
             raise self._not_of_an_instant("has values that depend on other times")

@@ -41,7 +41,7 @@ from torchmbd.multibody.joints import Joint
 class Phase:
     """One phase of a simulation.
 
-    until    when it ends: a time [s], or an Event; None: with the simulation (the last phase only)
+    until    when it ends: a time [s], or an Event; None: at the end of the simulation (the last phase only)
     lasting  how long it lasts [s], instead of `until`
              (times may be tensors [] that are being differentiated: the motion has gradients with respect to them)
     lock     joints, or their names, that are held where they are when the phase begins

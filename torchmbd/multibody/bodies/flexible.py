@@ -237,8 +237,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mesh            triangles or quadrilaterals
         laminate        its `angles` [rad] are parameters of the body
         modes           least number of vibration modes of the body fixed at its reference nodes (and its interface). A design
-                        retains up to four more where others have nearly the frequency of the last, as bending of a tube in two
-                        directions; `body.modes` is the number of the first design
+                        retains up to four more modes if their frequencies are close to the last one, such as bending of a tube
+                        in two directions; `body.modes` is the number of the first design
         position, axes  approximate initial position of the reference node (of the mean of several), which is the origin of the
                         body, in ground axes [m], and rotation (columns: mesh axes); `simulate` corrects both so that the
                         joints are closed
@@ -389,9 +389,10 @@ class FlexibleBody(MatrixMethods, nn.Module):
     def structure(self, nodes: Sequence[int] = (), second_order: bool = False) -> dict[str, Tensor]:
         """Run the structure stage.
 
-        Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; of plies with loss factors "loss"
-        [..., m, m], as Kr but with the part of each ply times its factor; with stiffening also F1, F2 and, of
-        `nodes`, "psi2" (stiffening.py), as with `second_order`. Leading axes are those of the laminate's parameters (designs).
+        Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]. If plies have loss factors, also "loss"
+        [..., m, m]: like Kr, but the part of each ply is multiplied by its loss factor. With stiffening, or with
+        `second_order`, also F1, F2 and "psi2" of `nodes` (stiffening.py). Leading axes are those of the laminate's parameters
+        (designs).
         """
         if self.given_structure is not None:
             return self.given_structure.structure()

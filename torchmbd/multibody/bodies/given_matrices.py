@@ -238,7 +238,7 @@ def _common_pattern(freedoms: Tensor, matrices: Sequence[Any], size: int) -> tup
 
 
 def _symmetric(name: str, key: str, pattern: Pattern, values: Tensor) -> Tensor:
-    """The values made exactly symmetric; InputError where they are not symmetric to SYMMETRY."""
+    """The values made exactly symmetric; InputError if they are not symmetric to SYMMETRY."""
     difference = (values - values[pattern.transposed]).abs()
     worst = int(difference.argmax()) if len(values) else 0
     if len(values) and float(difference[worst]) > SYMMETRY * float(values.abs().max()):

@@ -191,7 +191,7 @@ class MatrixStructure:
             )
 
     def _check_rigid(self, M: SparseMatrix, K: SparseMatrix, rigid: Tensor) -> None:
-        """InputError where K has forces for rigid motions, or M different masses along the axes."""
+        """InputError if K has forces for rigid motions, or M different masses along the axes."""
         used = torch.zeros(M.size, 1, dtype=torch.float64)
         used[self.matrices.freedoms] = 1.0
         rigid = rigid * used

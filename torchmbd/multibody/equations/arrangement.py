@@ -136,7 +136,7 @@ def _held(equations: Sequence[tuple[Joint, Equation]], vectors: Sequence[Attache
 
 
 def _refuse_repeated(argument: str, elements: Sequence[Any]) -> None:
-    """InputError where a list has one joint or force element several times."""
+    """InputError if a list has one joint or force element several times."""
     for element, times in Counter(elements).items():
         if times > 1:
             raise InputError(

@@ -184,7 +184,7 @@ class Linearization:
         return negative_mass(self.inertia)
 
     def factored_inertia(self) -> Tensor:
-        """L with L L' = N' M N; DesignFailure where vibrations do not exist."""
+        """L with L L' = N' M N; DesignFailure if vibrations do not exist."""
         return factored_inertia(self.inertia)
 
     @property
@@ -220,7 +220,7 @@ def negative_mass(inertia: Tensor) -> bool:
 
 
 def factored_inertia(inertia: Tensor) -> Tensor:
-    """L with L L' = N' M N. DesignFailure where it is not positive definite: vibrations do not exist."""
+    """L with L L' = N' M N. DesignFailure if it is not positive definite: vibrations do not exist."""
     if negative_mass(inertia):
         raise DesignFailure(
             "system",
@@ -273,7 +273,7 @@ class Vibrations:
 
     @classmethod
     def of(cls, rest: Linearization) -> Vibrations:
-        """Solve the eigenvalue problem in the null space. InputError where the inertia is not positive definite."""
+        """Solve the eigenvalue problem in the null space. InputError if the inertia is not positive definite."""
         M, K_full = rest.inertia, rest.reduced(rest.K)
         K = 0.5 * (K_full + K_full.T)
         inverse = torch.linalg.inv(rest.factored_inertia())

@@ -77,7 +77,7 @@ class Control:
         return u, torch.stack([derivative(y, x) for y in u])
 
     def check_attached(self, u: Tensor, p: Tensor, t: Any) -> None:
-        """InputError where parameters require a gradient and the output u has none."""
+        """InputError if parameters require a gradient and the output u has none."""
         if torch.is_grad_enabled() and p.requires_grad and not u.requires_grad:
             raise InputError(
                 self.label, allowed="a tensor that depends on its parameters", state=f"gives a detached tensor{_at(t)}"
@@ -117,7 +117,7 @@ class Control:
         return of_lanes
 
     def check(self, u: Any, lanes: int, t: Any) -> None:
-        """InputError where the module returns anything but float64 [lanes, outputs]."""
+        """InputError if the module returns anything but float64 [lanes, outputs]."""
         if not isinstance(u, Tensor) or u.shape != (lanes, self.outputs) or u.dtype != torch.float64:
             shown = f"{u.dtype} {list(u.shape)}" if isinstance(u, Tensor) else repr(u)
             raise InputError(

@@ -132,7 +132,7 @@ class Pieces:
     """Piecewise linear with jumps: f = intercepts[i] + inclines[i] s between borders[i - 1] and borders[i].
 
     borders  growing, one less than pieces
-    width    every jump is spread over s = border +- width, by a cubic step; a number that changes results, so state it
+    width    every jump is spread over s = border +- width, by a cubic step; results depend on the width
     """
 
     borders: tuple[float, ...]
@@ -357,7 +357,7 @@ def check_data_fields(name: str, law: Any) -> None:
 
 
 def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
-    """The value of a law at some arguments; InputError where it raises, or has parameters without a gradient."""
+    """The value of a law at some arguments; InputError if it raises, or has parameters without a gradient."""
     refuse_lost_gradients((name, "law"), law, VARIABLES)
     try:
         with torch.enable_grad():

@@ -33,7 +33,7 @@ class JointCoupling(Joint):
 
     coordinates  two or three: `angle` of a Revolute or Cylindrical [rad], `travel` of a Prismatic or Cylindrical [m]; each is
                  the motion of the joint's second body relative to its first one
-    factors      one for each, not zero, in units that make all products one unit
+    factors      one for each coordinate, not zero; their units give all products the same unit
     offset       the constant sum of the products, in their unit; if it is not zero, `simulate` moves the joints at the start
     name         of the coupling, and of its design variables and reactions; None: made of the first joint's bodies
 

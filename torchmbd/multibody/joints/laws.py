@@ -104,7 +104,7 @@ class Sine(nn.Module):
 
 
 class FiniteLaw:
-    """A law of the joint `name` at one time or many, with its slopes; InputError where it is nan or inf."""
+    """A law of the joint `name` at one time or many, with its slopes; InputError if it is nan or inf."""
 
     def __init__(self, name: str, law: Law):
         self.name, self.law = name, law
@@ -131,7 +131,7 @@ class FiniteLaw:
 
 
 def finite(name: str | Path, x: Any) -> Any:
-    """The argument x as a finite float, or as it is where it is a design variable of one number; InputError names it.
+    """Return the argument x as a finite float, or unchanged if it is a design variable with one entry; InputError names it.
 
     A tensor without a gradient (mbd.deg) is a number.
     """

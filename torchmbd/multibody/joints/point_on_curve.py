@@ -57,9 +57,9 @@ def _polynomial(coefficients: list, x):
 class PointOnCurve(Joint):
     """`PointOnCurve(a, b, [0, 0, 2.0])`: the point of b stays on the curve y = 2 x^2, z = 0 of frame a. Two equations.
 
-    first, second  coefficients c_0 [m], c_1 [-], c_2 [1/m], ... of polynomials in the distance along `axis`, at most six: the
-                   distances along the two other axes, in the order x, y, z, x
-    axis           of frame a along which the curve goes on
+    first, second  the distances along the two other axes, in the order x, y, z, x: polynomials in the distance along `axis`
+                   with the coefficients c_0 [m], c_1 [-], c_2 [1/m], ..., at most six
+    axis           the axis of frame a that is the argument of both polynomials
     name           of the joint in reactions and messages; None: made of the kind and the bodies
 
     >>> bead = mbd.RigidBody("bead", 0.1, (1e-5, 1e-5, 1e-5), position=(0.3, 0.18, 0))

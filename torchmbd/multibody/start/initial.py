@@ -81,7 +81,7 @@ def start_of_bodies(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
 def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
     """Modal coordinates or rates x [..., k] of `count` modes, padded to [..., modes].
 
-    Raises InputError where they move modes beyond these: the first design has more than others.
+    Raises InputError if they move modes beyond these: the first design has more than others.
     """
     if not all_true(x[..., count:] == 0.0):
         raise InputError(

@@ -70,7 +70,7 @@ def _turned(name: str, Kr: Tensor, origin: Tensor | None, x: Tensor, rows: list[
 
 
 def _refuse_padding(name: str, Kr: Tensor, w: Tensor) -> None:
-    """InputError where coordinates w [lanes, m] belong to modes that a design does not retain."""
+    """InputError if coordinates w [lanes, m] belong to modes that a design does not retain."""
     if not all_true(~is_padding(Kr) | (w == 0.0)):
         raise InputError(
             ("start", name),
@@ -81,7 +81,7 @@ def _refuse_padding(name: str, Kr: Tensor, w: Tensor) -> None:
 
 
 def _refuse_turned(name: str, same: Tensor, w: Tensor) -> None:
-    """InputError where coordinates w [lanes, m] of modes of one frequency are not zero."""
+    """InputError if coordinates w [lanes, m] of modes of one frequency are not zero."""
     single = same.sum(-1) == 1
     if all_true(single | (w == 0.0)):
         return

@@ -36,7 +36,7 @@ class SupportedBody:
     kept       indices of the unsupported ones among the free degrees of freedom of the assembly [N]
     pattern    of matrices on these
     imposed    imposed displacements of supports, zero elsewhere, on all free degrees of freedom [F, 1] [m, rad]
-    Raises InputError where the arguments are wrong.
+    Raises InputError if the arguments are wrong.
     """
 
     def __init__(self, body: FlexibleBody, supports: Supports | None = None, vibrating: bool = False) -> None:

@@ -77,7 +77,7 @@ def frequencies(body: FlexibleBody, supports: Supports | None = None, number: in
 class VibrationCase:
     """A body on supports, ready to find its frequencies in any design: `case(number)`.
 
-    body, supports as in `frequencies`. Raises InputError where these are wrong.
+    body, supports as in `frequencies`. Raises InputError if these are wrong.
     """
 
     def __init__(self, body: FlexibleBody, supports: Supports | None = None) -> None:
@@ -94,7 +94,7 @@ class VibrationCase:
     def __call__(self, number: int = 1) -> Vibrations:
         """The lowest frequencies, and shapes, of the present design.
 
-        Raises InputError where the supports leave the body movable, or number is not possible.
+        Raises InputError if the supports leave the body movable, or number is not possible.
         """
         supported = self.supported
         if not is_whole(number) or not 1 <= number <= self.most:

@@ -132,7 +132,7 @@ def _falling(system: Any, dynamics: Any) -> Any:
 
 
 def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], free: list[str]) -> None:
-    """InputError where joints exist and a body has no joint and no force; `free` names bodies that fly on purpose.
+    """InputError if joints exist and a body has no joint and no force; `free` names bodies that fly on purpose.
 
     A flexible beam counts as one body, and its elements do not count as forces.
     """

@@ -163,7 +163,7 @@ class Dynamics:
         return self.rank.redundant
 
     def evaluate_rank(self) -> None:
-        """Evaluate and cache the rank now: inside transforms of torch.func tensors have no values to decide by."""
+        """Evaluate the rank and cache it, because tensors inside transforms of torch.func have no values that give a rank."""
         if self.redundant:
             _ = self.least_norm
 
@@ -212,7 +212,7 @@ class Dynamics:
         return dynamics
 
     def with_data(self, data: Data) -> Dynamics:
-        """The same equations with other data of the same designs; the rank, once it is known, stays."""
+        """The same equations with other data of the same designs; a rank that is known is kept."""
         dynamics = replace(self, data=data)
         dynamics.known_rank = self.known_rank
         return dynamics

@@ -68,7 +68,7 @@ def split(body: FlexibleBody, n: int, modes: int = 1, interface: str | int | Seq
     body        made by `FlexibleBody.beam` of one line without branches; the chain has its position, axes and damping. Joints
                 and forces act on the pieces: `chain.at("end")`
     n           number of pieces, at most one for each element
-    modes       of each piece, besides the six constraint modes of its end; fewer where its elements have no more
+    modes       of each piece, besides the six constraint modes of its end; a piece of few elements may have fewer
     interface   other nodes of the line that joints or forces act on: six constraint modes each
     Displacements converge with 1/n^2. Raises InputError for other bodies.
 

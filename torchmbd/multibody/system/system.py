@@ -63,7 +63,7 @@ class System(nn.Module):
     forces         force elements between frames of these bodies and the ground
     gravity        acceleration of gravity in ground axes [m/s2]; a torch.nn.Parameter is a design variable, "gravity"
     stabilization  time constant of the constraint stabilization of ODE methods [s]
-    free           names of bodies that no joint holds on purpose
+    free           names of bodies that are meant to be without joints
     truncation     the first motion warns if the retained modes are too stiff at joints and forces by more than this share, 0
                    to 1 (`mbd.static_truncation`); None: no check
 
@@ -207,7 +207,7 @@ class System(nn.Module):
 
     @exclusive
     def join_again(self) -> None:
-        """Join the bodies anew where constants of their start have changed: joints and the initial state depend on them."""
+        """Join the bodies again if the constants of their start have changed, on which joints and the initial state depend."""
         if not unchanged(self._joined_with, self._constants_of_start()):
             refuse_lost_constants(self)
             self._join(self.joints)

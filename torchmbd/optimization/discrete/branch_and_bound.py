@@ -268,12 +268,13 @@ def optimize_discrete(
     max_neighbors  largest number of neighbors within two increments per variable; if there are more, the certificate covers
                    only neighbors whose increments add up to two
     admits         rules that a design [n] on the values must keep, such as those of a laminate; rounding then takes the
-                   nearest admitted design within two increments (a rule that ties variables, such as symmetry, is better
-                   a link of the problem, for few designs keep it)
+                   nearest admitted design within two increments. Write a rule that ties variables, such as symmetry, as a
+                   link of the problem instead, because few designs keep such a rule
     method         of the relaxation; "auto" is "slsqp" here, since boxes begin beside an optimum
     starts, max_iterations, max_lanes, feasibility, options   of the relaxation, as in `multistart`
 
-    Continuous variables keep their values among neighbors. Raises InputError as `multistart`, and where no value is in bounds.
+    All neighbors of a design have its continuous variables. Raises InputError for the same reasons as `multistart`, and if
+    the bounds of a variable do not contain an allowed value.
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-45, 45]))

@@ -233,11 +233,11 @@ class Processes(Workers):
 
     @property
     def coarse(self) -> Processes | None:
-        """The problem of less accuracy for the way to an optimum, on the same processes; None: there is none."""
+        """A less accurate problem for the first part of a search, on the same processes; None: there is none."""
         return self._with(getattr(self.problem, "coarse", None))
 
     def refined(self, x: np.ndarray) -> Processes | None:
-        """The problem of the accuracy that a design [n] needs, on the same processes; None: it has it."""
+        """A problem as accurate as a design [n] requires, on the same processes; None: this problem is accurate enough."""
         refine = getattr(self.problem, "refined", None) if hasattr(type(self.problem), "refined") else None
         return None if refine is None else self._with(refine(x))
 

@@ -115,9 +115,9 @@ class CriticalSpeed(OfVibrations):
     between   (lowest, highest) speed that is searched [rad/s], positive
     points    number of equally spaced speeds of the grid; the search misses two crossings of one frequency between neighbors
     axis, center   of the rotation, as in OfVibrations
-    observer  in whose axes rigid bodies and flexible beams are computed: "ground", or "turning" with the machine. The speed
-              is one of a fixed observer in both. Bodies with modes are computed in axes that turn with them. In these
-              axes the bearings must be isotropic
+    observer  rigid bodies and flexible beams are computed in the axes of this observer: "ground", or "turning" with the
+              machine. With both, the critical speed is that of a fixed observer. Bodies with modes are computed in axes
+              that turn with them, so the bearings must be isotropic
 
     Raises InputError if there are fewer than `number` critical speeds. Also raises it for blades and shafts of non-circular
     section, because a fixed observer sees several frequencies of one vibration. Use `CampbellClearance` for loads on a
@@ -149,7 +149,7 @@ class CriticalSpeed(OfVibrations):
         return _of_lanes(motion, lambda designs: self._of_lane(motion.system, designs))
 
     def shaft_of(self, system: System) -> Shaft:
-        """The axis of rotation, with the observer in whose axes is computed."""
+        """The axis of rotation, with the observer whose axes the computation uses."""
         modal = any(isinstance(body, FlexibleBody) for body in system.bodies)
         return replace(self.shaft, observer=TURNING if modal else self.observer)
 
@@ -246,13 +246,13 @@ def _seen_from_ground(
 class StabilityLimit(OfVibrations):
     """The smallest value [lanes] of a parameter, in its unit, at which vibrations begin to grow: a flutter load or speed.
 
-    parameter   name of a parameter of the system of one number, such as "push.x"; "speed": of rotation [rad/s]
+    parameter   name of a parameter with one entry, such as "push.x"; or "speed", the speed of rotation [rad/s]
     between     (lowest, highest) value that is searched
     points      values of the grid, equally spaced
     axis, center, observer   of the rotation, as in OfVibrations
 
-    Vibrations need damping: without it poles are on the imaginary axis until two meet, which has no derivative. Raises
-    InputError where no vibration begins to grow.
+    The system needs damping. Without damping, poles stay on the imaginary axis until two poles meet, and the value at which
+    they meet has no derivative. Raises InputError if no vibration begins to grow.
 
     >>> masses = {"a": (2.0, 1.0), "b": (1.0, 2.0)}  # [kg], place along x [m]
     >>> links = [mbd.RigidBody(name, m, (1e-7,) * 3, position=(x, 0, 0)) for name, (m, x) in masses.items()]

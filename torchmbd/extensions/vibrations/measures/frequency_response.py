@@ -54,8 +54,8 @@ class FrequencyResponse(OfVibrations):
     output      name of a joint, for its angle [rad] or travel [m]; or name of a body, for the position of a point [m]
     input       name of a joint, in which a motor acts [N m] or [N]; or of a body on which a force acts [N]
     band        (lowest, highest) frequency [Hz]
-    direction   of the position: "x", "y", "z" of the ground; None: output is a joint. Perpendicular to the axis of a rotation
-                it needs observer="ground", because it rotates for an observer who turns
+    direction   of the position: "x", "y", "z" of the ground; None: output is a joint. A direction perpendicular to the axis of
+                rotation needs observer="ground", because it rotates for an observer who turns
     place       of the point: a node of a flexible body, or (x, y, z) on a rigid one [m]; None: its origin
     input_direction, input_place   of the force, as for the position
     quantity    "displacement", or its rates "velocity", "acceleration"
@@ -64,8 +64,8 @@ class FrequencyResponse(OfVibrations):
 
     The measure locates the peak exactly, not on a grid. Its derivative is the derivative of the magnitude at the frequency of
     the peak. If two peaks are equal, it is the derivative at one of them.
-    Raises InputError where a vibration in the band has no damping: the response is infinite; and where the observer of a
-    rotation sees a direction turn.
+    Raises InputError if a vibration in the band has no damping, because the response is infinite, and if a direction
+    rotates for the observer of a rotation.
 
     >>> body = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
     >>> rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y", name="rail")

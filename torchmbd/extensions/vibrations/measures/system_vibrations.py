@@ -95,8 +95,8 @@ class SystemFrequency(OfVibrations):
     cluster  numbers instead, as (2, 3): the power mean of these, which is smooth where they cross or coincide
     power    of that mean, as in Frequencies
     speed    of rotation [rad/s]
-    follow   True: `number` counts in the system as it was built; each design has the vibration with this shape, also after a
-             crossing. A design without a vibration that is clearly like it fails (followed_vibrations.py)
+    follow   True: `number` selects a shape of the system as it was built. Each design has the vibration with this shape, also
+             after a crossing. A design fails if no vibration clearly has this shape (followed_vibrations.py)
     axis, center, observer   of the rotation, as in OfVibrations
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.01, steps=2)
@@ -148,8 +148,7 @@ class DampingRatio(OfVibrations):
 
     number   of the pole, among poles whose imaginary part is at least 1 % of |s|; 1 has the smallest imaginary part
     speed    of rotation [rad/s]
-    follow   as in SystemFrequency. Without it, two poles with nearly the same imaginary part are distinguished only by its
-             order
+    follow   as in SystemFrequency. With False, poles with nearly equal imaginary parts may exchange their numbers
     axis, center, observer   of the rotation, as in OfVibrations
 
     >>> body = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
@@ -250,7 +249,7 @@ class CampbellClearance(OfVibrations):
     orders    n, as (1, 2, 3)
     band      (lowest, highest) speed [rad/s], positive
     modes     numbers of the frequencies
-    points    sample speeds, equally spaced from end to end; between them curves are taken as monotonic
+    points    number of equally spaced sample speeds, ends included; the curves must be monotonic between them
 
     axis, center, observer   of the rotation, as in OfVibrations: "turning" for loads that stand still while blades turn, or
               "ground" for unbalance

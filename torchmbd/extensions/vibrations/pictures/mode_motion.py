@@ -50,7 +50,7 @@ def mode_motion(
     periods  how many
     frames   times in each
 
-    Reactions are not known (nan). Raises InputError where there is no such vibration.
+    Reactions are not known (nan). Raises InputError if there is no such vibration.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     >>> swing = mbd.viz.mode_motion(rest)
