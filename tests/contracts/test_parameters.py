@@ -218,7 +218,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "Poisson's ratio": (lambda: mbd.Ply.isotropic(2e11, v(0.6), 7850.0), r"nu = 0\.6; allowed: -1 < nu <= 0\.5"),
     "one side of a matrix": (
         lambda: mbd.GivenSection([[1.0, v(0.1)] + [0.0] * 4] + [[0.0] * 6] * 5, torch.eye(6)),
-        "entry 1,2 is a variable, and entry 2,1 is not the same one",
+        "entry 1,2 is a variable, and entry 2,1 is not the same variable",
     ),
     "a turn that nothing uses": (
         lambda: mbd.System(

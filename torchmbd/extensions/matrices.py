@@ -279,5 +279,5 @@ def _dmig(file: Path) -> dict[str, LabeledMatrix | InputError]:
                 entries[name].append((row, column, card.real(start + 2, "A")))
     matrices = refused | {name: _assembled(file.name, terms) for name, terms in entries.items() if terms}
     if not matrices:
-        raise InputError(file.name, allowed="one at least", state="has no DMIG matrix")
+        raise InputError(file.name, allowed="a file with at least one DMIG matrix", state="has no DMIG matrix")
     return matrices

@@ -169,7 +169,7 @@ def pareto_front(
         raise InputError(
             "problem",
             problem,
-            rule=f"is {problem!r}; a front needs two criteria at least, such as mbd.Tradeoff(...) has",
+            rule=f"is {problem!r}; a front needs at least two criteria, as in mbd.Tradeoff(...)",
             shown="",
         )
     box = checked_box(problem)
@@ -230,12 +230,12 @@ def _units(searches: ScalarizedSearches, starts: np.ndarray, names: list[str]) -
     """Return the units of the criteria [k] by their values and changes at a start, a constant part without influence."""
     known = [criteria for criteria in searches.cache.evaluate(starts, True) if criteria.ok]
     if not known:
-        raise InputError("starts", rule="must have one at least that can be evaluated")
+        raise InputError("starts", rule="must contain at least one design that can be evaluated")
     values, slopes = known[0].values, known[0].gradients
     if values.shape != (len(names),):
         raise InputError(
             ("problem", "evaluate"),
-            allowed=f"{(len(names),)}, {', '.join(names)}",
+            allowed=f"shape {(len(names),)}, one for each of {', '.join(names)}",
             state=f"returned criteria of shape {values.shape}",
         )
     size = variable_scale(searches.start, searches.lower, searches.upper)

@@ -65,7 +65,7 @@ class RobustProblem:
         self.period = np.asarray(getattr(problem, "period", np.zeros(start.size)), dtype=float)
         d = as_numbers("tolerance", tolerance)
         if d.shape not in ((), start.shape) or not (np.isfinite(d).all() and (d >= 0.0).all() and d.any()):
-            allowed = f"a number or {start.size} of them, not negative, not all zero"
+            allowed = f"a number, or {start.size} numbers, not negative and not all zero"
             raise InputError("tolerance", tolerance, allowed)
         d = np.array(np.broadcast_to(d, start.shape))
         for name, tolerated, low, high in zip(problem.names, d, lower, upper, strict=True):

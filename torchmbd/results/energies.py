@@ -73,7 +73,7 @@ def energies(motion: MotionData, lanes: Sequence[int] | None = None) -> Energies
             "motion",
             allowed="designs [lanes, ...] in one simulate",
             noun="energies of lanes with phases or smaller steps of their own",
-            state="are asked for in torch.func.vmap",
+            state="cannot be computed in torch.func.vmap",
         )
     remade = has_checkpoints(motion)
     if remade and in_transform(motion.q):
@@ -88,7 +88,7 @@ def _refusal() -> InputError:
         "checkpoint",
         allowed="checkpoint=1, or energies outside of gradients and torch.func",
         noun="energies of a motion with checkpoint=",
-        state="are being differentiated, but its steps are made again without a gradient",
+        state="are being differentiated, but the states that are not kept are computed again without a gradient",
     )
 
 

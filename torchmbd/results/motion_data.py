@@ -228,7 +228,7 @@ class MotionData(Summary):
                 "reverse",
                 "simulate(..., gradients='forward')",
                 noun=f"d{name}_db:",
-                state="the gradients of this motion come by the adjoint, which has no sensitivities of coordinates",
+                state="the gradients of this motion come from the adjoint, which does not compute sensitivities of coordinates",
             )
         return self.sensitivities.tangents(name, rows)
 

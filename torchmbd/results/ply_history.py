@@ -179,7 +179,7 @@ def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
                     force.name,
                     "one law, such as a function of time, for the whole motion",
                     noun=f"stresses of body {body.name!r} under {force.name!r}",
-                    state="are not computed, because a phase of this motion has another law for it",
+                    state="are not computed, because a phase of this motion has another law for this load",
                 )
     return changes
 

@@ -69,7 +69,7 @@ def _add(columns: Columns, more: Columns) -> None:
         if heading in columns:
             raise InputError(
                 ("names", heading),
-                rule="is there twice: must be once",
+                rule="appears twice: must appear once",
                 hint="each name once",
                 noun=f"column {heading!r}",
             )

@@ -160,7 +160,7 @@ class StudySettings(Summary):
         known = {name: positive(("increments", name), step, "SI") for name, step in (increments or {}).items()}
         steps = [known.get(name, known.get(name.rpartition("[")[0])) for name in names]
         if any(steps) and (self.front or self.has_extra_variable):
-            rule = "has a step, and the objective several rows; allowed: one number, such as max"
+            rule = "has a step, but the objective has several rows; allowed: an objective of one number, such as max"
             raise InputError("increments", increments, rule=rule, noun="design", shown="")
         if any(steps):
             Grid(self.problem, steps, self.problem.lower, self.problem.upper, getattr(self.problem, "period", None))

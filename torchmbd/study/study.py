@@ -98,7 +98,7 @@ class Study(StudySettings):
             raise InputError(
                 "study",
                 self.name,
-                "after study.run(), which takes what is known from the disk",
+                "study.run() first, which reads known evaluations from the disk",
                 noun=f"study {self.name!r}",
                 state="has not run in this process",
             )
@@ -132,7 +132,7 @@ class Study(StudySettings):
             raise InputError(
                 "study",
                 self.name,
-                "one whose start can be evaluated",
+                "a study whose start can be evaluated",
                 noun=f"study {self.name!r}",
                 state=f"ended {self.status} without a result",
             )

@@ -152,7 +152,7 @@ class _VaryingEntries:
                 raise InputError(
                     (label,),
                     allowed="one variable in both places",
-                    state=f"is a variable, and entry {other} is not the same one",
+                    state=f"is a variable, and entry {other} is not the same variable",
                     noun=f"{label} of a section: entry {place}",
                 )
         plain = [[number(x) for x in row] for row in rows] if entries else matrix

@@ -130,7 +130,7 @@ def check_links(n: int, held: list[int], links: Sequence[Follower]) -> None:
         again = [i for i in components if 6 * k + i in taken]
         if again:
             raise InputError(
-                ("links", k), allowed="one", state="follow by 2 links", noun=f"components {again} of node {k}"
+                ("links", k), allowed="one link", state="follow by 2 links", noun=f"components {again} of node {k}"
             )
         taken |= {6 * k + i for i in components}
         if k in held:

@@ -63,7 +63,7 @@ class Expansion:
         if not members:
             where = f"body {self.name!r}" if zone is None else f"zone {zone!r} of body {self.name!r}"
             state = "has no parts that expand"
-            raise InputError((self.name, "zone"), zone, "one with plates or beams", noun=where, state=state)
+            raise InputError((self.name, "zone"), zone, "a body or zone with plates or beams", noun=where, state=state)
         return members
 
     def warn_of_other_parts(self, zone: str | None) -> None:

@@ -136,8 +136,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
             if links:
                 raise InputError(
                     (name, "nodes"),
-                    allowed="numbers, or no links",
-                    state="vary, and some are linked",
+                    allowed="constant nodes, or no links",
+                    state="are design variables, but some of them are linked",
                 )
             self.add_module("line", mesh.node_module)  # pyright: ignore[reportAttributeAccessIssue]
         require_memory(name, len(mesh.nodes), joined.values(), modes, len(interfaces.kept))

@@ -241,7 +241,7 @@ class MatrixStructure:
         if not full.any():
             raise InputError(
                 (self.name, "nodes"),
-                allowed="one at least",
+                allowed="at least one node with three displacements",
                 state="has three displacements",
                 noun=f"nodes of {self.name!r}: none",
             )

@@ -90,9 +90,9 @@ class Closing:
 def warn_far(closing: Closing, in_equilibrium: bool) -> None:
     """Warn of joints that are open by more than rounding of positions; in_equilibrium: where the start is one."""
     if closing.far:
-        moves = f"to close them the start moves {_shown(closing.bodies)}"
+        moves = f"to close them, torchmbd moves {_shown(closing.bodies)}"
         warn(
-            f"{closing}; {'they are closed in the static equilibrium of the start' if in_equilibrium else moves}; allowed: "
+            f"{closing}; {'they are closed in the static equilibrium of the start' if in_equilibrium else moves}. Try: "
             "positions, axes and laws of drives that close the joints at t = 0 (system.describe() lists all gaps)"
         )
 

@@ -68,7 +68,10 @@ def refuse_lost_constants(system: Any) -> None:
                 if name in _VARIABLES:
                     allowed += ", or a Parameter given to the constructor"
                 raise InputError(
-                    (label,), allowed=allowed, state="is a constant: it has no gradient", noun=f"{label!r}"
+                    (label,),
+                    allowed=allowed,
+                    state="requires a gradient, but is a constant of the model",
+                    noun=f"{label!r}",
                 )
 
 

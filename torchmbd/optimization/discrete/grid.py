@@ -54,7 +54,7 @@ class Grid:
         if not self.discrete.any():
             raise InputError(
                 "allowed",
-                rule="must have an increment or values for one variable at least",
+                rule="must have an increment or values for at least one variable",
                 hint="optimize or multistart",
             )
 
@@ -147,11 +147,13 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
         increment = float(_numbers(name, entry))
         if not (increment > 0.0 and np.isfinite(high - low)):
             raise InputError(
-                ("allowed", name), entry, rule=f"must be positive, its bounds finite; they are [{low:g}, {high:g}]"
+                ("allowed", name),
+                entry,
+                rule=f"must be positive, and its bounds must be finite; they are [{low:g}, {high:g}]",
             )
         if (high - low) / increment > MOST:
             count, place = (high - low) / increment, f"in the bounds [{low:g}, {high:g}]"
-            rule = f"must give up to {MOST} values, and gives {count:.3g} ({8 * count:.3g} bytes) {place}"
+            rule = f"must give at most {MOST} values, but gives {count:.3g} ({8 * count:.3g} bytes) {place}"
             raise InputError(("allowed", name), entry, rule=rule)
         slack = ON * increment
         values = increment * np.arange(np.ceil((low - slack) / increment), np.floor((high + slack) / increment) + 1)

@@ -274,7 +274,7 @@ def pickle_problem(problem: NonlinearProgram) -> tuple[bytes, torch.dtype]:
     try:
         return cloudpickle.dumps(problem), torch.get_default_dtype()
     except Exception as error:  # of whatever the problem holds
-        allowed = "one that can be pickled, with responses that hold no locks, files or threads"
+        allowed = "a problem that can be pickled, whose responses hold no locks, files or threads"
         raise InputError(
             "problem",
             problem,

@@ -105,7 +105,7 @@ def load_run(run: str, uri: str | StoreURI | None = None, model: Models = ()) ->
         raise InputError(
             "run",
             entry.run_id,
-            "its mbd.Study again, whose run() takes all from the disk",
+            "run() of the same mbd.Study, which reads all evaluations from the disk",
             state="was made in Python",
             noun=f"run {entry.run_id[:8]}",
         )

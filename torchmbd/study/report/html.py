@@ -74,7 +74,7 @@ def write_report(run: str, path: Path | None = None, uri: str | StoreURI | None 
         raise InputError(
             "output",
             str(path),
-            "a file in one that exists",
+            "a file in a folder that exists",
             state=f"= {str(path)!r}: the folder {str(path.parent)!r} does not exist",
         )
     with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
