@@ -420,5 +420,5 @@ class Problem(Summary):
         return measured.value.numpy(), slopes
 
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
-        """The design [n] and its evaluation with the least extra variable that its rows allow: the largest row."""
+        """The design [n] and its evaluation with the smallest extra variable that satisfies the rows: the largest row."""
         return self.reference.extra.tightened(x, evaluation) if self.peaks else (x, evaluation)

@@ -49,9 +49,9 @@ class DesignSpace:
 
     system     the model
     variables  names of parameters; default: every parameter that requires a gradient
-    bounds     (lower, upper): a number for all entries, or one for each, or parameter name -> such numbers of its entries;
-               or a mapping: parameter name -> such a pair
-    start      initial design [n], or parameter name -> values of its entries; elsewhere the system's own values
+    bounds     (lower, upper), each of which is a number for all entries, a number for each entry, or a mapping from parameter
+               names to numbers; or a mapping from parameter names to pairs (lower, upper)
+    start      initial design [n], or parameter name -> values of its entries; default: the values of the system
     links      entry -> {entry: factor, ..., "constant": offset}: entries that depend on others
 
     >>> mirrored = {"arm.laminate.angles[1]": {"arm.laminate.angles[0]": -1.0}}

@@ -70,8 +70,8 @@ def build(
     damping  stiffness-proportional damping of the rod [s]
     reduction, interface, updated   of the rod, as in FlexibleBody.plate
     joint    of rod and slider: "universal", which keeps the rod from spinning about itself, or "spherical", as in the
-             independent codes (experiments/peers/exudyn_peer.py). With coupling of bending and twist they differ: peak of U
-             at 17 degrees 0.103 and 0.094 J
+             independent codes (experiments/peers/exudyn_peer.py). If bending and twist are coupled, the two joints give
+             different motions: at 17 degrees the peak of U is 0.103 and 0.094 J
     strength of the plies
     """
     if joint not in JOINTS:

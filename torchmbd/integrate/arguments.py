@@ -101,9 +101,9 @@ def check_phase_times(phases: Any, gradients: str, integrator: Integrator) -> No
             key, x = ("until", phase.until) if phase.lasting is None else ("lasting", phase.lasting)
             raise InputError(
                 (str(phase.name or number), key),
-                allowed=f"gradients='reverse' or 'auto' of a one-step method, which have both modes, or {key}.detach()",
+                allowed=f"gradients='reverse' or 'auto' with a one-step method, or {key}.detach()",
                 noun=f"{key} of phase {phase.name or number!r}",
-                state=f"is being differentiated, {x!r}, which tangents do not carry",
+                state=f"= {x!r} is being differentiated, but forward tangents do not support this",
             )
 
 

@@ -46,7 +46,7 @@ def require_differentiable(what: Path, law: Callable[[Tensor], Any], allowed: st
         change = after - before
         smooth = change != 0.0 and abs(after - 2.0 * here + before) <= SMOOTH * abs(change)
         if smooth and all(_slope(what, law, place + k * STEP, allowed) == 0.0 for k in AROUND):
-            state = "changes, but its derivative by torch is zero: it leaves torch (float, .item(), .detach(), NumPy, SciPy)"
+            state = "changes, but its derivative in torch is zero, because it leaves torch (float, .item(), .detach(), NumPy)"
             raise InputError(what, law, allowed, state=state)
 
 

@@ -163,7 +163,7 @@ class RobustProblem:
         return [self._combined(*arguments) for arguments in zip(X, around, there, rows, strict=True)]
 
     def with_least_bound(self, x: np.ndarray, evaluation: Evaluation) -> tuple[np.ndarray, Evaluation]:
-        """The same point [n] with the least beta that its rows allow: its objective is its worst case."""
+        """The point [n] with the smallest beta that satisfies its rows, so that its objective is its worst case."""
         return self.extra.tightened(x, evaluation)
 
     def _steepest(self, x: np.ndarray, evaluations: list[Evaluation]) -> tuple[np.ndarray, np.ndarray]:

@@ -107,7 +107,7 @@ class PlyHistory:
         return rule(stress, strength[lane, point])
 
     def modes(self, criterion: str = "hashin", lane: int = 0) -> list[str]:
-        """Mode of failure that is nearest at each time, at the critical point; criteria: those with modes, as "puck"."""
+        """The failure mode with the largest index at each time, at the critical point; criterion: one with modes ("puck")."""
         criterion = one_of("criterion", criterion, MODES)
         if lane not in range(len(self.w)):
             raise InputError("lane", lane, f"0 to {len(self.w) - 1}")

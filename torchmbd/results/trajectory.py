@@ -109,7 +109,7 @@ class Trajectory(MotionData):
         return self._energies[mode]
 
     def require_repetition(self) -> Repeated:
-        """How this motion is made again; InputError for a part of a motion."""
+        """The arguments that simulate this motion again; InputError for a part of a motion."""
         if self.repetition is None:
             raise InputError("motion", allowed="the motion that simulate returns", state="is a part of another")
         return self.repetition

@@ -44,7 +44,11 @@ def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, s
     if scheduler is not None and scheduler.endswith((".yaml", ".yml")):
         slurm = load_cluster(scheduler)
         if not workers:
-            raise InputError("workers", 0, rule="must be 1 or more with a cluster file: all jobs together")
+            raise InputError(
+                "workers",
+                0,
+                rule="must be 1 or more with a cluster file, because it is the number of workers of all jobs together",
+            )
         if shutil.which("sbatch") is None:
             raise InputError(
                 "scheduler",

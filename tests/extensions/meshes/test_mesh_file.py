@@ -110,7 +110,7 @@ def test_what_abaqus_writes_besides_is_left_out(tmp_path):
         ("*NODE", "*NODE, SYSTEM=C", "line 1: *NODE, SYSTEM is not read"),
         ("*NODE", "*NODE, INPUT=nodes.txt", "line 1: *NODE, INPUT is not read"),
         ("TYPE=S4R", "TYPE=S4R, OFFSET=0.5", "*ELEMENT, OFFSET is not read"),
-        ("*ELSET, ELSET=skin", "*ELSET, ELSET=web", "ELSET 'web' stands in *ELEMENT and in *ELSET"),
+        ("*ELSET, ELSET=skin", "*ELSET, ELSET=web", "ELSET 'web' is given in *ELEMENT and in *ELSET"),
     ],
 )
 def test_options_that_meshio_passes_over_are_refused(tmp_path, old, new, words):

@@ -34,9 +34,9 @@ _LEAST = 1e-3  # least allowable amplitude as a share of the smaller strength
 class SNCurve:
     """An S-N curve with its constant-life diagram.
 
-    points        (cycles, amplitude [Pa]) at mean zero: two at least, cycles growing, amplitudes falling
-    tension       static strength [Pa]; None: the mean stress has no influence
-    compression   the same in compression; None: as in tension
+    points        at least two pairs (cycles, amplitude [Pa]) at mean zero, with increasing cycles and decreasing amplitudes
+    tension       static tensile strength [Pa]; None: the mean stress has no influence
+    compression   static compressive strength [Pa]; None: equal to `tension`
     Raises InputError that names a point out of order.
 
     >>> curve = mbd.SNCurve([(1e3, 400e6), (1e6, 200e6)], tension=1000e6)

@@ -239,7 +239,7 @@ class Identification(Summary):
 
     @property
     def singular_values(self) -> np.ndarray:
-        """Singular values of `jacobian` for the searched unknowns, scaled by `size`; the data do not see values below 1."""
+        """Singular values of `jacobian` scaled by `size`; below 1 the data do not determine the combination of unknowns."""
         return singular_values(self._jacobian[:, self.searched], self.size[self.searched])[0]
 
     @cached_property

@@ -151,7 +151,7 @@ class LaminationParameters(Laminate):
         return LaminateStiffness(A, B, D, self.shear_correction * h * _shear(G, a))
 
     def isotropic_stiffness(self) -> LaminateStiffness:
-        """The stiffness of parameters that are zero: of the mean over all directions."""
+        """The stiffness if all parameters are zero, which is the mean over all directions."""
         U, G = _invariants(self._constant)
         h, none = self.total_thickness[..., None, None], torch.zeros(4, dtype=torch.float64)
         Q = _plane(U, none)

@@ -77,9 +77,9 @@ class AbaqusFile:
             if name in self._sets:
                 raise InputError(
                     ("ELSET", name),
-                    allowed="in one of both",
+                    allowed="in only one of them",
                     noun=f"ELSET {name!r}",
-                    state="stands in *ELEMENT and in *ELSET",
+                    state="is given in *ELEMENT and in *ELSET",
                 )
             blocks = zip(self.elsets, source.cells, strict=True)
             source.cell_sets[name] = [np.arange(len(cells.data) if elset == name else 0) for elset, cells in blocks]

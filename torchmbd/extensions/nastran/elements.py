@@ -80,7 +80,7 @@ def read_solid(card: Card) -> Solid:
         raise wrong_entry(card, f"it has {count} grids", allowed, key="G")
     grids = tuple(card.integer(3 + k, f"G{k + 1}") for k in range(count))
     if len(set(grids)) < count:
-        raise wrong_entry(card, f"grids {list(grids)}", f"{count} different ones", key="G")
+        raise wrong_entry(card, f"grids {list(grids)}", f"{count} different grids", key="G")
     return Solid(card, card.integer(2, "PID", card.integer(1, "EID")), grids)
 
 
@@ -88,7 +88,7 @@ def read_panel(card: Card) -> Solid:
     """Read a CSHEAR."""
     grids = tuple(card.integer(3 + k, f"G{k + 1}") for k in range(4))
     if len(set(grids)) < 4:
-        raise wrong_entry(card, f"grids {list(grids)}", "4 different ones", key="G")
+        raise wrong_entry(card, f"grids {list(grids)}", "4 different grids", key="G")
     return Solid(card, card.integer(2, "PID", card.integer(1, "EID")), grids)
 
 

@@ -28,8 +28,8 @@ def frozen_poles(
 
     motion        of `simulate`, without phases
     time          one of its times [s]; None: the last one
-    coordinates   names of independent increments, as in `linearize`, on which the poles depend; None: first modes and
-                  rotations that are independent, then displacements; the choice for the first lane applies to all lanes
+    coordinates   names of independent increments, as in `linearize`; the poles depend on this choice. None: independent modes
+                  and rotations first, then displacements. The choice for the first lane applies to all lanes
 
     The order is by the size of the imaginary part, then by the real part. Differentiable like the motion, in both modes.
     A single pole of several that coincide does not have a derivative, and neither has a defective pair: InputError names

@@ -108,8 +108,8 @@ def linearize(
     state     an equilibrium, a steady rotation, or a motion of the system; None: the equilibrium near the initial position
     lane      which design of the state
     time      one of the times of the state [s]; None: the last one
-    coordinates   of a motion: names of increments that are independent, "rotation z of 'bob'", as `states` has them; None:
-                  modes and rotations as far as they are independent, then displacements
+    coordinates   for a motion: names of independent increments, such as "rotation z of 'bob'", as in `states`; None:
+                  independent modes and rotations first, then displacements
 
     Controllers of the system stay closed. About a motion x are the increments of the coordinates and their rates:
     displacements in ground axes, rotations in axes of the moving body. x' = A(t) x holds along the motion for any coordinates,

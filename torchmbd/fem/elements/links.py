@@ -123,7 +123,7 @@ def check_links(n: int, held: list[int], links: Sequence[Follower]) -> None:
             raise InputError(
                 ("links", k),
                 components,
-                "different ones of 0 to 5",
+                "different numbers from 0 to 5",
                 state=f"are {components}",
                 noun=f"components of the link of node {k}",
             )

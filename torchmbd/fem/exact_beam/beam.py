@@ -216,7 +216,7 @@ class ExactBeam(nn.Module):
         gradient_y: Change = 0.0,
         moisture: Change = 0.0,
     ) -> tuple[Float[Tensor, "*lanes number"], BeamState]:
-        """The lowest frequencies [Hz] of small vibrations about an equilibrium, at rest or steadily rotating; and that state.
+        """The lowest frequencies [Hz] of small vibrations about an equilibrium, at rest or steadily rotating; and this state.
 
         number     of frequencies
         loads, line_load, supports, gravity, spin, center   as in `equilibrium`: loads that have a potential, so no moments

@@ -29,7 +29,7 @@ from torchmbd.math.plausible_units import EXTENT, warn_unusual
 
 
 class CoveringTriangles(NamedTuple):
-    """Triangles that cover the cells, quadrilaterals twice: their nodes, the share that each counts with, and its cell."""
+    """Triangles that cover the cells, with their nodes, weights and cells; a quadrilateral has four with the weight 1/2."""
 
     nodes: Int[Tensor, "pieces 3"]
     share: Float[Tensor, " pieces"]
@@ -194,9 +194,10 @@ class Mesh:
 
     @property
     def covering_triangles(self) -> CoveringTriangles:
-        """Triangles that cover the cells: every quadrilateral in the mean of the two ways to cut it.
+        """Triangles that cover the cells: for every quadrilateral the mean of the two ways to cut it.
 
-        So a third of the directed area of each, at its corners, is the integral of the bilinear shape functions.
+        If each triangle gives a third of its directed area to each corner, the sums at the nodes are the integrals of the
+        bilinear shape functions.
         """
         corners = [self.quads.roll(1 - i, dims=1)[:, :3] for i in range(4)]
         number = torch.arange(self.cell_count)

@@ -222,7 +222,7 @@ def _check_lines(mesh: Cells) -> None:
         raise InputError(
             ("lines", k),
             lines[k].tolist(),
-            f"two different ones of 0 to {n - 1}",
+            f"two different nodes from 0 to {n - 1}",
             state=f"has nodes {lines[k].tolist()}",
             noun=f"Mesh: line {k}",
         )

@@ -157,7 +157,7 @@ class Section(nn.Module):
         return in_wall_axes(self._numbers[..., :36].unflatten(-1, (6, 6)), self.angles)
 
     def forward(self) -> Float[Tensor, "*lanes 6 6"]:
-        """Return `stiffness()`: the form in which torch.func.functional_call asks for the section."""
+        """Return `stiffness()`, so that torch.func.functional_call can evaluate the section with other parameters."""
         return self.stiffness()
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:

@@ -216,7 +216,7 @@ def _freedoms(
         raise InputError(
             (name, "freedoms"),
             len(pairs),
-            f"{size} different ones, nodes 0 to {n - 1}",
+            f"{size} different degrees of freedom, of nodes 0 to {n - 1}",
             state=f"are {len(pairs)}",
         )
     return torch.tensor([6 * k + c for k, c in pairs], dtype=torch.long)

@@ -103,7 +103,7 @@ class MatrixMethods:
                 raise InputError(
                     (name, beside[0]),
                     allowed="a file alone",
-                    state="are given beside a file, which has them",
+                    state="are given together with a file, which contains them",
                     noun=f"{', '.join(beside)} of {name!r}",
                 )
             return cls._of(name, read_reduced(name, nodes), **options)

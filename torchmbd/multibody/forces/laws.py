@@ -147,7 +147,7 @@ class Pieces:
         if len(self.intercepts) != n + 1 or len(self.inclines) != n + 1 or not self.width > 0:
             raise InputError(
                 "borders",
-                allowed="one border less than pieces, a positive width",
+                allowed="one border fewer than pieces, and a positive width",
                 state=f"are {n}, with {len(self.intercepts)} intercepts, {len(self.inclines)} inclines, width {self.width!r}",
             )
         for x in (*self.borders, *self.intercepts, *self.inclines, self.width, self.damping):

@@ -40,7 +40,7 @@ class Coordinate(NamedTuple):
 
 
 class Effort(NamedTuple):
-    """An action of an output: the output times a sign is its strength."""
+    """An action of an actuator; its force or torque is the output of the controller times a sign."""
 
     kind: type
     vectors: tuple[int, ...]

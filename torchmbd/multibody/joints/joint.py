@@ -157,9 +157,9 @@ class AttachmentTable:
         return self._add(other.body, vector, other.interpolation, False, frame.varying, axis, matrix)
 
     def turning_axes(self, name: str, a: Frame, b: Frame, axis: str) -> tuple[int, int, int]:
-        """Indices of the axes x and y of frame a that follow `axis`, and of x of frame b, whose angle from x of a is measured.
+        """Indices of three axes: x and y of frame a, which follow `axis`, and x of frame b. The angle is from x of a to x of b.
 
-        Raises InputError if x of b is within 0.1 rad of `axis` at the given positions: it shows no angle about it.
+        Raises InputError if x of b is within 0.1 rad of `axis` at the given positions, because the angle is then undefined.
         """
         x, y = other_axes(axis)
         arm = b.body.axes @ b.axis(x)

@@ -69,7 +69,7 @@ class JointCoupling(Joint):
             raise InputError(
                 "coordinates",
                 coordinates,
-                rule="must be two or three different ones",
+                rule="must be two or three different coordinates",
                 hint="several couplings for more",
                 shown=f"{coordinates}",
             )

@@ -111,8 +111,8 @@ class Dynamics:
 
     @property
     def rank(self) -> Rank:
-        """Rank of the constraints at the initial position of the first lane whose data are finite; also under torch.func, whose
-        tensors have no values to decide by."""
+        """Rank of the constraints at the initial position of the first lane whose data are finite; also under torch.func, where
+        tensors do not give a rank."""
         if self.known_rank is None:
             ranks = {} if self.shared_start is None else self.shared_start.ranks
             shared = self.topology in ranks
@@ -121,7 +121,7 @@ class Dynamics:
         return self.known_rank
 
     def share_rank(self, other: Dynamics) -> Dynamics:
-        """Itself, with the rank of the same equations of other data: transforms of torch.func have no values to find it by."""
+        """Itself, with the rank of other dynamics of the same equations, because tensors in torch.func do not give a rank."""
         self.known_rank = other.rank
         return self
 
@@ -279,7 +279,7 @@ class Dynamics:
     def unstabilized_accelerations(self, t: Tensor, q: Any, v: Any) -> tuple[Any, Any]:
         """Accelerations [n_v, ...] and multipliers [rows, ...] that a state determines, zero in rows that are left out.
 
-        Without the stabilization, which answers to errors of the steps.
+        They do not contain the stabilization, because it depends on the errors of the steps.
         """
         exact = replace(self, stabilization=math.inf).share_rank(self)
         a, lam = exact.accelerations(t, q, v)

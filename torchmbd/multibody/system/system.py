@@ -308,7 +308,7 @@ class System(nn.Module):
 
     @exclusive
     def stages(self, parameters: Mapping[str, Tensor]) -> tuple[Dynamics, dict[str, Tensor]]:
-        """The same, and the mode shapes [lanes, nodes, 6, modes] of the flexible bodies by their names."""
+        """The dynamics of `reduced`, and the mode shapes [lanes, nodes, 6, modes] of the flexible bodies by their names."""
         self._check()
         data, structures = call_module(self, parameters, "stages")
         shapes = {name: structure["psi"] for name, structure in structures.items()}

@@ -49,7 +49,7 @@ class ResponsePeak(NamedTuple):
 
 @dataclass(frozen=True)
 class FrequencyResponse(OfVibrations):
-    """Largest magnitude [lanes] of a response to a harmonic input of size one over a band of frequencies; limit: at most.
+    """Largest magnitude [lanes] of a response to a harmonic input of size one over a band of frequencies; use <= as limit.
 
     output      name of a joint, for its angle [rad] or travel [m]; or name of a body, for the position of a point [m]
     input       name of a joint, in which a motor acts [N m] or [N]; or of a body on which a force acts [N]

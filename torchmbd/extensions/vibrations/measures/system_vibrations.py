@@ -240,7 +240,7 @@ class StabilityMargin(OfVibrations):
 
 @dataclass(frozen=True)
 class CampbellClearance(OfVibrations):
-    """Relative distances [lanes, rows] [-] of frequencies f from n times the speed over a band of speeds; limit: at least.
+    """Relative distances [lanes, rows] [-] of frequencies f from n times the speed over a band of speeds; use >= as limit.
 
     For each frequency f and each order n the distance is the larger of min(e) and min(-e), with e = 2 pi f / (n speed) - 1
     over the sample speeds. It is positive if the frequency stays above, or stays below, the order line, and negative if it
