@@ -246,7 +246,7 @@ def test_steps_that_do_not_resolve_the_vibrations_are_reported():
     suggested = int(coarse.stats["suggested_steps"][0])
     assert 100 < suggested < 1000
     assert coarse.status[0].startswith("unresolved: the steps do not resolve the vibrations")
-    assert f"{suggested} steps would" in coarse.status[0]
+    assert f"{suggested} steps" in coarse.status[0]
     assert bool(torch.isfinite(coarse.q).all())
     fine = mbd.simulate(system, 0.024, steps=suggested)
     assert float(fine.stats["step_error"][0]) < 0.02

@@ -71,12 +71,12 @@ class StaticTruncation:
     def __str__(self) -> str:
         what = f"{100 * self.share:.2g} % of the deflection of body {self.body!r} under {self.load} {self.where}"
         if self.rigid:
-            what = f"all flexibility of body {self.body!r}: joints, as at {self.where}, hold all its modes, as if it were rigid"
+            what = f"all flexibility of body {self.body!r}: joints, such as at {self.where}, hold all its modes, so it is rigid"
         elif self.frequencies is not None:
             with_modes, exact = self.frequencies
             what = (
-                f"flexibility of body {self.body!r} at {self.where}: a vibration of {exact:.3g} Hz comes out as "
-                f"{with_modes:.3g} Hz"
+                f"flexibility of body {self.body!r} at {self.where}, so a vibration has {with_modes:.3g} Hz instead of "
+                f"{exact:.3g} Hz"
             )
         return f"the retained modes leave out {what}; better: {self.advice}"
 

@@ -60,8 +60,8 @@ def status_of_lanes(
         elif len(gap := torch.nonzero(~possible[:, lane])):
             time = duration * int(gap[0]) / (len(history.q) - 1)
             result.append(
-                f"failed: the motion is faster than light from t = {time:.6g} s on, as one that grows from step to step; "
-                "more steps help, or a smaller load"
+                f"failed: the motion is faster than light from t = {time:.6g} s on, so it is probably numerically unstable. "
+                "Try: more steps, or a smaller load"
             )
         else:
             result.append(_status_of_steps(statistics, lane))
@@ -88,22 +88,22 @@ def _status_of_steps(statistics: Statistics, lane: int) -> str:
     )
     if iteration_error > ITERATION_ERROR:
         return (
-            f"failed: the iteration of a step did not converge (relative error {iteration_error:.1e}); more steps help"
+            f"failed: the iteration of a step did not converge (relative error {iteration_error:.1e}). Try: more steps"
         )
     if turn > TURN:
-        return f"failed: a body turns by {turn:.2g} rad in one step; allowed: {TURN:g}"
+        return f"failed: a body turns by {turn:.2g} rad in one step, more than {TURN:g} rad. Try: more steps"
     if step_error > STEP_ERROR:
         # Of a stiff body only the gross motion may be of interest, which damped vibrations leave right: the numbers stay.
         return (
             f"{UNRESOLVED}the steps do not resolve the vibrations of a flexible body (estimated error "
-            f"{100 * step_error:.0f} % of the largest): its energies mean little; "
-            f"{suggested_steps:.0f} steps would resolve them"
+            f"{100 * step_error:.0f} % of the largest amplitude), so its energies are inaccurate. Try: "
+            f"{suggested_steps:.0f} steps"
         )
     if alternation > ALTERNATION:
         return (
-            f"{UNRESOLVED}{100 * alternation:.0f} % of the accelerations change their sign from step to step: the steps do "
-            "not resolve vibrations of a beam, which may grow; more steps, a smaller spectral_radius or damping of the beam "
-            "help"
+            f"{UNRESOLVED}{100 * alternation:.0f} % of the accelerations change their sign from step to step, because the "
+            "steps do not resolve vibrations of a beam. These may grow. Try: more steps, a smaller spectral_radius, or damping "
+            "of the beam"
         )
     return OK
 
@@ -126,7 +126,9 @@ def mark_open_joints(status: list[str], problem: InitialValueProblem, result: In
         phi = violations[rows, lane]
         if rows and float(phi.max()) > _OPEN:
             row, worst = dynamics.topology.row_names[rows[int(phi.argmax())]], float(phi.max())
-            status[lane] = f"failed: the joints could not stay closed ({row} is {worst:.1e} m or rad off at the end)"
+            status[lane] = (
+                f"failed: the joints could not stay closed ({row} is open by {worst:.1e} m or rad at the end)"
+            )
 
 
 def _violations_at_end(dynamics: Dynamics, history: History, duration: float) -> Tensor:

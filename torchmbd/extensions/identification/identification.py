@@ -305,7 +305,7 @@ class Identification(Summary):
         if names := [repr(row.name) for row in self._unknown_noise]:
             channels = f"channel{'s' * (len(names) > 1)} {', '.join(names)}"
             result.append(
-                f"{channels}: the unknowns follow every number, so that nothing is known of the noise. Try: deviation="
+                f"{channels}: the unknowns fit every number exactly, so nothing is known of the noise. Try: deviation="
             )
         if self.step_error is not None and (text := sentence(self.step_error, self.names, self.problem.steps)):
             result.append(text)

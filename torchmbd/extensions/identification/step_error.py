@@ -94,4 +94,7 @@ def sentence(error: StepError, names: list[str], steps: Mapping[str, int | None]
     far = far[np.argsort(-error.share[far])]
     listed = ", ".join(f"{names[k]} by {error.share[k]:.2g}" for k in far[:3]) + (", ..." if len(far) > 3 else "")
     counts = ", ".join(str(steps[name]) for name in error.shares)
-    return f"{counts} steps: their error moves unknowns, in deviations: {listed}; intervals do not hold this. Try: more steps="
+    return (
+        f"{counts} steps: their error moves unknowns, in standard deviations: {listed}. The intervals do not include this "
+        "error. Try: more steps="
+    )

@@ -367,7 +367,7 @@ class _PhaseLoop:
         """Note that the first or the last step of a phase, from `start` to times `end`, does not converge in some lanes."""
         for i in lane_numbers(failed):
             begin, step = float(value(start.t)[0, i]), f"the {which} step of phase {self.segment.name!r}"
-            reason = f"{step}, from t = {begin:.6g} s to t = {float(end[i]):.6g} s, does not converge; more steps help"
+            reason = f"{step}, from t = {begin:.6g} s to t = {float(end[i]):.6g} s, does not converge. Try: more steps"
             if not bool(finite_lanes(start.x)[i]):
                 reason = f"the motion is not finite where {step} begins, at t = {begin:.6g} s"
             self.multiphase.fail(lanes[i], reason)

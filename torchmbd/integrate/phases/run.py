@@ -383,7 +383,7 @@ class MultiphaseRun:
         self.doubts.setdefault(
             lane,
             f"the steps are too long to know whether the event of phase {segment.name!r} occurs in the step from "
-            f"t = {t:.6g} s on; more steps help",
+            f"t = {t:.6g} s on. Try: more steps",
         )
 
     def record(self, number: int, first: int, counted: Tensor, states: History, are_kept: bool = False) -> None:

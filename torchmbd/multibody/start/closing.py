@@ -84,7 +84,7 @@ class Closing:
         )
 
     def __str__(self) -> str:
-        return f"joints are open where the bodies were put: {_shown(self.joints)}"
+        return f"joints are open at the given positions of the bodies: {_shown(self.joints)}"
 
 
 def warn_far(closing: Closing, in_equilibrium: bool) -> None:
