@@ -263,7 +263,7 @@ def test_what_it_refuses():
         pareto_front(nowhere)
     wrong = two_bowls()
     wrong.criteria = ["f1", "f2", "f3"]
-    with refused("problem.evaluate", ANY, "(2,)", "(3,), f1, f2, f3"):
+    with refused("problem.evaluate", ANY, "(2,)", "(3,)", "f1, f2, f3"):
         pareto_front(wrong)
 
 
