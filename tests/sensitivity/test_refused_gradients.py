@@ -145,7 +145,7 @@ def test_constants_of_a_system_are_refused_as_parameters(name):
     given = getattr(owner, own)
     delattr(owner, own)
     setattr(owner, own, nn.Parameter(given))
-    with pytest.raises(mbd.InputError, match=f"'{name}' is a constant"):
+    with pytest.raises(mbd.InputError, match=f"'{name}' requires a gradient, but is a constant"):
         mbd.simulate(system, 0.01, steps=4, gradients="forward", variables=[name])
 
 

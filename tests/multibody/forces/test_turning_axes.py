@@ -34,7 +34,7 @@ def test_a_spring_acts_or_is_refused_by_name():
     assert len(along) == 8
     for axes in along:
         for kind in ("spring", "stop"):
-            with refused("element.b", None, "across the axis 'z'"):
+            with refused("element.b", None, "perpendicular to the axis 'z'"):
                 hinged(axes, kind)
         system = hinged(axes, frame=axes.T)
         assert_close(mbd.equilibrium(system).vibrations[0].frequencies[0], expected(), rtol=1e-9, atol=0)
