@@ -51,8 +51,8 @@ def told(verification: Verification) -> tuple[Any, ...]:
     return verification.verified, kinds, [answer.active for answer in verification.answers]
 
 
-CASES = [("final", 10, None), ("final", 40, None), ("final", 10, 2.0), ("function", 10, 2.0), ("function", 40, None)]
-CASES += [(name, 10, None) for name in ("max", "at time", "mean", "difference")]
+CASES = [("final", 20, None), ("final", 40, None), ("final", 20, 2.0), ("function", 20, 2.0), ("function", 40, None)]
+CASES += [(name, 20, None) for name in ("max", "at time", "mean", "difference")]
 
 
 @pytest.mark.parametrize(("name", "steps", "limit"), CASES)
@@ -78,12 +78,12 @@ def test_of_a_moved_machine_and_a_shifted_objective(name: str, steps: int, limit
     verdicts += [
         verdict(0.0, lambda m: m + 1000.0),
         verdict(0.0, lambda m: 1e3 * m),
-        verdict(0.0, lambda m: 1e-6 * m - 5.0),
+        verdict(0.0, lambda m: 1e-6 * m - 0.5),  # of which the places are 1e-7: rounding is far less than the errors
     ]
     assert all(v == verdicts[0] for v in verdicts), verdicts
 
 
-@pytest.mark.parametrize("steps", [10, 40])
+@pytest.mark.parametrize("steps", [20, 40])
 def test_of_a_constraint_on_a_place(steps: int) -> None:
     """Its limit moves with the machine, or has a constant and a unit as its response has."""
     x, verdicts = np.array([2200.0]), []
@@ -105,9 +105,9 @@ def test_of_a_constraint_on_a_place(steps: int) -> None:
 
 
 def test_a_best_design_at_the_start_is_looked_at() -> None:
-    """The step response of a spring, 100 rad / s by 16 steps a second: far from F / k (1 - cos w t)."""
+    """The step response of a spring of 32 Hz, 6 steps a period: ten times as large as F / k (1 - cos w t) at the end."""
     problem = mbd.Problem(
-        spring_mass(stiffness=4e4), 0.5, mbd.Final(X), steps=8, backend="eager", bounds={"s.stiffness": (3.9e4, 4e4)}
+        spring_mass(stiffness=4e4), 0.5, mbd.Final(X), steps=97, backend="eager", bounds={"s.stiffness": (3.9e4, 4e4)}
     )
     found = mbd.verify(mbd.optimize(problem, max_iterations=5))
     true = 100.0 / 4e4 * (1.0 - math.cos(200.0 * 0.5))

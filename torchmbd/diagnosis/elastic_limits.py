@@ -37,6 +37,8 @@ from torchmbd.results.trajectory import Trajectory
 LARGE = 0.5  # displacement by the size
 FAST = 0.1  # spin by the frequency: errors of one percent
 
+_OVERDAMPED = 2.0  # damping ratio of a first mode; more is a ratio that is given for a time
+
 
 def displacement_ratios(motion: Trajectory) -> dict[str, Tensor]:
     """Largest displacement by the size [lanes] of every flexible body."""
@@ -99,14 +101,14 @@ def warn_of_spin(motion: Trajectory) -> None:
 
 
 def warn_of_damping(motion: Trajectory) -> None:
-    """Warn of bodies whose damping is above the critical one of their first mode: a damping ratio given for a time."""
+    """Warn of bodies whose damping is far above the critical one of their first mode: a damping ratio given for a time."""
     for name in motion.dynamics.topology.names[: motion.dynamics.topology.flexible]:
         time = float(number(getattr(getattr(motion.system.body(name), "damping", None), "time", 0.0)))
         if not time:
             continue
         first = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).sqrt()
         ratio = 0.5 * time * _largest(first)
-        if ratio > 1.0:
+        if ratio > _OVERDAMPED:
             warn(
                 f"damping of body {name!r} = {time:g} s gives its first mode the damping ratio {ratio:.3g}, above critical "
                 f"damping. Try: damping = 2 x ratio / ({_largest(first):.3g} rad/s) for a damping ratio of this mode"

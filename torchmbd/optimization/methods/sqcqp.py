@@ -55,7 +55,7 @@ def sqcqp(search: Search, max_iterations: int, *, ftol: float = 1e-6, kkt: float
     """
     require_range("ftol", ftol, 1e-16, 1.0)
     require_range("kkt", kkt, 1e-16, 1.0)
-    return run_adapted(search, partial(_run, ftol=ftol), max_iterations, kkt)
+    return run_adapted(search, partial(_run, ftol=ftol, kkt=kkt), max_iterations, kkt)
 
 
 class Models:
@@ -94,7 +94,7 @@ class Models:
         self.values, self.gradients = values, gradients
 
 
-def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
+def _run(wrapped: WrappedProblem, ftol: float, kkt: float) -> Stop:
     search, y = wrapped.search, wrapped.y
     span, equal = _span(search, y), wrapped.equal
 
@@ -119,6 +119,11 @@ def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
         promised = merit - _merit(models.at(d), penalty)
         small = ftol * wrapped.shrink * max(abs(float(models.values[0])), SMALLEST_OBJECTIVE)
         if violation <= search.feasibility and promised <= small:
+            if radius > LEAST_RADIUS and search.kuhn_tucker(search.evaluate(y, gradients=True), y).residual > kkt:
+                radius *= (
+                    SHORTEST  # SLSQP has found nothing in a region far larger than the way to the optimum of the models
+                )
+                continue
             return Stop(y, True, "the models promise no lower objective")
         if not promised > 0.0:
             return Stop(y, False, "the models promise no lower violation")
