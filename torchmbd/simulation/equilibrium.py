@@ -41,6 +41,7 @@ from torchmbd.multibody.equilibrium.equilibrium import (
 from torchmbd.multibody.equilibrium.linearized import Linearization, Vibrations
 from torchmbd.multibody.equilibrium.steady_rotation import TURNING, SteadyRotation
 from torchmbd.multibody.saddle.expansion import Expansion
+from torchmbd.multibody.saddle.rank import Rank
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.registry import Registry
 from torchmbd.results.history import History
@@ -157,6 +158,11 @@ class StaticIntegration:
     def duration(self) -> float:
         """The last time [s]."""
         return float(self.times[-1])
+
+    @property
+    def ranks(self) -> list[Rank]:
+        """Of the constraints: all act."""
+        return [self.model.rank]
 
     @property
     def has_checkpoints(self) -> bool:
