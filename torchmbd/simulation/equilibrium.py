@@ -162,7 +162,7 @@ class StaticIntegration:
     @property
     def ranks(self) -> list[Rank]:
         """Of the constraints: all act."""
-        return [self.model.rank]
+        return [self.dynamics.rank]
 
     @property
     def has_checkpoints(self) -> bool:
