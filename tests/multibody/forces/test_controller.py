@@ -261,7 +261,9 @@ def test_the_iteration_matrix_knows_the_controller():
     module = linear((-1e5, -3e3))
     control = mbd.Controller(module, [S.JointAngle(joint), S.JointRate(joint)], [S.JointTorque(joint)])
     system = mbd.System([body], [joint], [control], gravity=GRAVITY)
-    motion = mbd.simulate(system, 0.1, steps=20, gradients="none").require_ok()
+    motion = mbd.simulate(system, 0.1, steps=20, gradients="none")
+    assert motion.q.isfinite().all()
+    assert motion.status[0].startswith("unresolved: ")  # four periods in a step
     assert float(motion.stats["iteration_error"]) < 1e-9
 
 
