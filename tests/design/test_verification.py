@@ -83,7 +83,7 @@ def test_an_artifact_of_the_steps_is_not_verified() -> None:
 
 @pytest.mark.thorough
 def test_a_constraint_that_fails_in_the_finer_model() -> None:
-    """Of six steps a period the mean square is too small: an upper limit that is active there fails."""
+    """Six steps a period make the mean square too small. An upper limit that is active there fails."""
     x, square = np.array([1.0]), mbd.Integral(X * X)
     given: dict[str, Any] = {"minimize": mbd.Mass("bob"), "start": [1.05]}
     numbers = [square(vibrating(steps).motion(x)).item() for steps in (24, 96)]

@@ -1,4 +1,4 @@
-"""Steps that do not resolve rigid bodies on springs are told, whatever the coordinates; resolved or resting ones are not."""
+"""Steps that do not resolve rigid bodies on springs are text, whatever the coordinates; resolved or resting ones are not."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def status(system: mbd.System, steps: int | None, duration: float = 1.0, **optio
 @pytest.mark.parametrize("mass", [1e-3, 1e3])
 def test_less_than_five_steps_to_a_period_are_unresolved(turns, mass) -> None:
     for steps in (5, 20, 40):
-        told = status(block(mass=mass, turns=turns), steps)
-        assert told.startswith("unresolved: ")
-        assert "10 Hz" in told
+        text = status(block(mass=mass, turns=turns), steps)
+        assert text.startswith("unresolved: ")
+        assert "10 Hz" in text
     for steps in (80, 160):
         assert status(block(mass=mass, turns=turns), steps) == "ok"
 

@@ -184,7 +184,7 @@ def test_axes_on_a_bent_body_turn_with_its_nodes():
 
 @pytest.mark.parametrize("phases", [None, [mbd.Phase(until=0.02), mbd.Phase(lock=["second"])], [mbd.Phase()]])
 def test_loads_that_equilibrium_does_not_determine_are_told_with_phases_too(phases):
-    """Of two hinges on one axis, in every part of the motion in which both act; of one alone nothing is said."""
+    """Two hinges on one axis are over-constrained in every part of the motion in which both act. One hinge alone is not."""
     arm = box("arm")
     ground = mbd.Ground()
     joints = [

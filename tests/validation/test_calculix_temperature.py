@@ -107,7 +107,7 @@ def bricks(folder: Path, angles: list, thickness: list, T: float, g: float) -> t
 
 
 def inner(places: Tensor) -> Tensor:
-    """Whether places [n, 2] are away from clamp and free edges [n]."""
+    """Return True for each place [n, 2] that lies away from the clamp and the free edges [n]."""
     x, y = places[:, :2].unbind(1)
     return (x > 0.0399 - LENGTH / 2) & (x < LENGTH / 2 - 0.0099) & (y.abs() < WIDTH / 2 - 0.0099)
 

@@ -92,7 +92,7 @@ class IntegratedMotion:
 
     @property
     def ranks(self) -> list[Rank]:
-        """Of the constraints that act in each part of the motion."""
+        """The rank of the constraints that act, for each part of the motion."""
         if self.history.segment is None:
             return [self.dynamics.rank]
         return [record.dynamics.rank for record in self.history.run.records]

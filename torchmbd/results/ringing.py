@@ -35,7 +35,7 @@ def alternation(x: Tensor) -> Tensor:
 
 
 def _four_steps(t: Tensor, step: float) -> Tensor:
-    """Whether the times n to n + 4 are the ends of equal steps of at most this size [times - 4].
+    """Return True for each n whose times n to n + 4 are the ends of equal steps of at most this size [times - 4].
 
     A lane with switches has both states of each at one time; between checkpoints there are steps whose states are not kept.
     """

@@ -161,7 +161,7 @@ class StaticIntegration:
 
     @property
     def ranks(self) -> list[Rank]:
-        """Of the constraints: all act."""
+        """The rank of the constraints, all of which act."""
         return [self.dynamics.rank]
 
     @property

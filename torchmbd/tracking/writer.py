@@ -49,7 +49,7 @@ Part = dict[str, Any]  # a line of the journal
 
 
 class State(NamedTuple):
-    """What there is in the store.
+    """The state of the store.
 
     trouble        why nothing reaches the store at present, None if it does
     experiment_id  in MLflow

@@ -74,7 +74,7 @@ def test_small_vibrations_at_the_bottom():
 
 
 def test_gradients_forward_and_reverse():
-    """Of the place on a wire that ends at a spring, by the mass of the bead."""
+    """A bead on a wire ends at a spring. Its final place is differentiated by its mass."""
 
     def place(mass: torch.Tensor) -> torch.Tensor:
         options: dict = {"backend": "eager", "iterations": (8, 8), "refresh": 1}

@@ -121,5 +121,5 @@ def test_a_joint_that_bends_a_body_is_closed_by_the_equilibrium():
 
 def test_rounding_of_points_at_one_place_is_not_listed():
     bracket = mbd.RigidBody("bracket", 1.0, (0.1, 0.1, 0.1), position=(1.7e-18, 0.0, 1e-17))
-    found = mbd.System([bracket], [mbd.Fixed(GROUND.at(), bracket.at())]).describe()
-    assert (found.closing.joints, found.closing.bodies, found.closing.far) == ((), (), False)
+    description = mbd.System([bracket], [mbd.Fixed(GROUND.at(), bracket.at())]).describe()
+    assert (description.closing.joints, description.closing.bodies, description.closing.far) == ((), (), False)

@@ -43,7 +43,7 @@ _EDGES = ("T2D2", "T3D2")  # by which mesh generators write named edges
 
 
 class AbaqusFile:
-    """What a file says beside its mesh, with the files that it includes. InputError if meshio would lose a part of it.
+    """The lines of a file and of the files that it includes, without the mesh. InputError if meshio would lose a part of it.
 
     elsets       the ELSET of each *ELEMENT in the order of the file, "" where it has none
     sections     places of *SOLID SECTION, which trusses have

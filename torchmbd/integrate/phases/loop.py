@@ -5,8 +5,9 @@
 
 All steps are those of the condensed system of the segment: regular ones by the stepper of the integrator, many at a time
 (regular_steps.py), those of other sizes by `Integrator.step_of_size`. After a switch, and where the size changes, steps begin
-from the states of `Integrator.smooth_start`; regular steps that end at a switch that changes nothing go on as they were. Steps
-are differentiated as they stand: sizes are numbers with design tangents. What the adjoint needs is recorded (`PhaseRecord`).
+from the states of `Integrator.smooth_start`; regular steps that end at a switch that changes nothing go on as they were. The
+size of a step is a number with design tangents, so each step is differentiated as it is. `PhaseRecord` keeps what the adjoint
+needs.
 Steps that are too short for the integrator are not made: the last step of a phase begins one point of the grid earlier instead,
 the first one ends one later, and the points between take the first terms of the Taylor series from the switch, accelerations
 and multipliers on the way to those of the first step.
@@ -359,7 +360,7 @@ class _PhaseLoop:
         return self._regular_size(lanes) * (self.record.base_point[lanes] >= 0).double()
 
     def _smooth_start(self, lanes: list[int], start: PhaseExit) -> SmoothStart:
-        """Of some lanes in condensed states."""
+        """Return the smooth start of some lanes, for condensed states."""
         of_lanes = lanes_of(self.dynamics, lanes), start.x, start.t, self._regular_size(lanes)
         return self.record.smooth_start(self.integrator, *of_lanes)
 

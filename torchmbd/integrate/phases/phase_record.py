@@ -28,7 +28,7 @@ class PhaseExit(NamedTuple):
     x: State
 
     def lanes(self, lanes: Sequence[int]) -> PhaseExit:
-        """Of some lanes."""
+        """Return the part of some lanes."""
         return PhaseExit(pick_lanes(self.t, lanes), pick_states(self.x, lanes))
 
 
@@ -79,7 +79,7 @@ class PhaseRecord:
         return None if self.condensed is self.dynamics else self.condensed.initial.condensation
 
     def smooth_start(self, integrator: Integrator, dynamics: Dynamics, x: State, t: Any, h: Any) -> SmoothStart:
-        """Of condensed states x of some lanes at times t (Integrator.smooth_start).
+        """Return the smooth start of condensed states x of some lanes at times t (Integrator.smooth_start).
 
         dynamics   of these lanes;  h: sizes of regular steps [1 + n, lanes]
         """

@@ -69,12 +69,12 @@ class SmoothStart(NamedTuple):
         return self._replace(jerk=f(self.jerk), offset=f(self.offset))
 
     def lanes(self, lanes: Sequence[int]) -> SmoothStart:
-        """Of some lanes."""
+        """Return the part of some lanes."""
         return self.map(lambda y: pick_lanes(y, lanes))
 
 
 def smooth_start(dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart:
-    """Of lanes of a system that is not condensed, near states x at times t [1 + n, lanes].
+    """Return the smooth start near states x of a system that is not condensed, at times t [1 + n, lanes].
 
     weights   of a step of size one
     h         sizes of regular steps [1 + n, lanes], over which the third rates are found from positions

@@ -120,7 +120,7 @@ def entered(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
 
 
 def laws_jump(dynamics: Dynamics, t: Tensor, h: float, x: State) -> Tensor:
-    """Whether drives or forces that depend on time jump at times t [1, lanes], for a state x without tangents [lanes].
+    """Return True for lanes whose time-dependent drives or forces jump at times t [1, lanes]; x: a state without tangents.
 
     h   size of a regular step [s]
     """

@@ -147,7 +147,7 @@ class Expansion:
             )
 
     def _independent_nearby(self) -> Bool[Tensor, " loads"]:
-        """Whether each load differs from those before it where all parameters of the parts are a little different."""
+        """Return True for each load that is independent of those before it when all parameters of the parts change a little."""
         owners = nn.ModuleDict(
             {f"{key}_{name}": module for key, part in self.parts.items() for name, module in part.modules().items()}
         )
@@ -185,7 +185,7 @@ class Expansion:
 
 
 def _independent(F: Float[Tensor, "*lanes N loads"]) -> Bool[Tensor, "*lanes loads"]:
-    """Whether each column is no combination of those before it."""
+    """Return True for each column that is no combination of those before it."""
     sizes = F.norm(dim=-2, keepdim=True)
     unit = torch.linalg.qr(F / torch.where(sizes > 0.0, sizes, 1.0), mode="r").R
     first = [torch.zeros_like(sizes[..., 0, 0], dtype=torch.long)]
