@@ -1,4 +1,4 @@
-"""Steps that do not resolve rigid bodies on springs are text, whatever the coordinates; resolved or resting ones are not."""
+"""The status tells steps that do not resolve rigid bodies on springs. Bodies that are resolved, or rest, are ok."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ from torchmbd.tracking.run_process import process_tag
 from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 from torchmbd.tracking.uri import StoreURI
-from torchmbd.tracking.writer import JOURNAL, State, Writer, read_state
+from torchmbd.tracking.writer import JOURNAL, State, Writer, empty_state, read_state
 
 FILES = "files"  # tag of a run that is over: the names of its files, one a line
 PATIENCE = "TORCHMBD_PATIENCE"  # environment variable: seconds to wait for a store that is away when the study is over
@@ -186,7 +186,7 @@ class MlflowTracker:
     def _present(self) -> State:
         """Return what the writer has said last."""
         if self._folder is None:
-            return self._state or State()
+            return self._state or empty_state()
         return read_state(Path(self._folder.name))
 
     def _require(self, run: str) -> None:

@@ -34,16 +34,11 @@ if TYPE_CHECKING:
 
 JOURNAL, _STATE = "journal.jsonl", "state.json"
 _INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share of a core that writing takes at most
-_RETRY, _LAST_RETRY = (
-    5.0,
-    0.5,
-)  # seconds until a store that is away is tried again, while the study computes and after it
+# Seconds until a store that is away is tried again, while the study computes and after it.
+_RETRY, _LAST_RETRY = 5.0, 0.5
 _METRICS, _WORDS = 800, 100  # in one log_batch: MLflow allows 1000 of all kinds, 100 parameters, 100 tags
-_REFUSALS = (
-    "INVALID_PARAMETER_VALUE",
-    "RESOURCE_DOES_NOT_EXIST",
-    "BAD_REQUEST",
-)  # other errors: no answer of the store
+# Other errors are no answer of the store.
+_REFUSALS = ("INVALID_PARAMETER_VALUE", "RESOURCE_DOES_NOT_EXIST", "BAD_REQUEST")
 
 Part = dict[str, Any]  # a line of the journal
 
@@ -58,11 +53,16 @@ class State(NamedTuple):
     ended          whether the writer has ended after `close`
     """
 
-    trouble: str | None = None
-    experiment_id: str = ""
-    ids: dict[str, str] = {}  # noqa: RUF012
-    refused: list[str] = []  # noqa: RUF012
-    ended: bool = False
+    trouble: str | None
+    experiment_id: str
+    ids: dict[str, str]
+    refused: list[str]
+    ended: bool
+
+
+def empty_state() -> State:
+    """Return the state before a writer has begun."""
+    return State(trouble=None, experiment_id="", ids={}, refused=[], ended=False)
 
 
 def read_state(folder: Path) -> State:
@@ -70,7 +70,7 @@ def read_state(folder: Path) -> State:
     try:
         return State(*json.loads((folder / _STATE).read_text(encoding="utf-8")))
     except FileNotFoundError:
-        return State()
+        return empty_state()
 
 
 class Writer:
