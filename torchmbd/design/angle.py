@@ -30,6 +30,8 @@ from torchmbd.math.checked_numbers import scalar
 from torchmbd.multibody.system import System
 from torchmbd.results.turns import turns_between
 
+_ALONG = math.sqrt(0.5) + 1e-12  # cosine of 45 degrees, and rounding: a vector at 45 degrees stays the one that it is
+
 
 @dataclass(frozen=True)
 class Angle(History):
@@ -108,5 +110,4 @@ class Angle(History):
         turned = system.body(self.body).axes.detach() @ u
         if self.seen_from != GROUND:
             turned = system.body(self.seen_from).axes.detach().T @ turned
-        along = float(e @ turned)
-        return torch.linalg.cross(e, u) if abs(along) > math.sqrt(0.5) + 1e-12 else u
+        return torch.linalg.cross(e, u) if abs(float(e @ turned)) > _ALONG else u

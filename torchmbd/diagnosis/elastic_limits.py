@@ -36,8 +36,7 @@ from torchmbd.results.trajectory import Trajectory
 
 LARGE = 0.5  # displacement by the size
 FAST = 0.1  # spin by the frequency: errors of one percent
-
-_OVERDAMPED = 2.0  # damping ratio of a first mode; more is a ratio that is given for a time
+_OVERDAMPED = 2.0  # damping ratio of a first mode, above which the damping time is probably a ratio
 
 
 def displacement_ratios(motion: Trajectory) -> dict[str, Tensor]:
@@ -101,7 +100,7 @@ def warn_of_spin(motion: Trajectory) -> None:
 
 
 def warn_of_damping(motion: Trajectory) -> None:
-    """Warn of bodies whose damping is far above the critical one of their first mode: a damping ratio given for a time."""
+    """Warn of bodies whose first mode is far above critical damping: their damping time may be a damping ratio by mistake."""
     for name in motion.dynamics.topology.names[: motion.dynamics.topology.flexible]:
         time = float(number(getattr(getattr(motion.system.body(name), "damping", None), "time", 0.0)))
         if not time:

@@ -34,8 +34,8 @@ def mark_gains(motion: Trajectory) -> None:
     for lane, share in zip(lanes, (gain / size).tolist(), strict=True):
         if share > _GAIN:
             motion.status[lane] = (
-                f"{UNRESOLVED}energy comes from nothing, {share:.0%} of the largest kinetic and strain energy: the steps do "
-                "not resolve the vibrations of a flexible body after a switch, and these grow; more steps, a smaller "
-                "spectral_radius or damping of the body help"
+                f"{UNRESOLVED}energy comes from nothing, {share:.0%} of the largest kinetic and strain energy. The steps "
+                "do not resolve vibrations of a flexible body after a switch, and these grow. Try: more steps, a smaller "
+                "spectral_radius, or damping of the body"
             )
     warn_unresolved([motion.status[lane] for lane in lanes])

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.estimates import StepEstimates
-from torchmbd.integrate.phases.smooth_start import SmoothStart
+from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.multibody.equations.equations import Data
 from torchmbd.multibody.equations.topology import Schedule, Topology

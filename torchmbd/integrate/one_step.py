@@ -33,7 +33,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.integrator import Integrator, Steps
-from torchmbd.integrate.phases.smooth_start import SmoothStart, smooth_start
+from torchmbd.integrate.smooth_start import SmoothStart, smooth_start
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.stepper import EagerStepper
 from torchmbd.integrate.variable_step import step_of_size

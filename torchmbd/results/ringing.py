@@ -4,7 +4,7 @@
 
 In the first steps of a motion by generalized-alpha multipliers are accurate to first order only and alternate about their
 values, with an amplitude that is their error; so do later those that follow vibrations that the steps do not resolve. Steps
-after a switch begin from states without this error (integrate/phases/smooth_start.py).
+after a switch begin from states without this error (integrate/smooth_start.py).
 Source: Arnold, Bruels and Cardona, Numer. Math. 129 (2015) 149-179.
 Checked in tests/results/test_ringing.py.
 """

@@ -41,10 +41,10 @@ from torchmbd.integrate.phases.last_steps import without_rate
 from torchmbd.integrate.phases.phase_record import PhaseRecord
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.segment import Segment
-from torchmbd.integrate.phases.smooth_start import SmoothStart
 from torchmbd.integrate.phases.switch import data_with_marks
 from torchmbd.integrate.prepared import Prepared
 from torchmbd.integrate.pullback import leaf
+from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.variable_step import on_the_way, shortly_after, step_to
 from torchmbd.multibody.equations.equations import ATTACHED, Data

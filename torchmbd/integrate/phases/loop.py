@@ -42,7 +42,7 @@ from torchmbd.integrate.phases.phase_record import PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.short_events import ShortEvents, ShortEventSearch, near_zero
-from torchmbd.integrate.phases.smooth_start import SmoothStart
+from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.variable_step import MovingSteps, on_the_way, shortly_after
 from torchmbd.math.elementwise import reciprocal

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lanes import pick_lanes, pick_states
-from torchmbd.integrate.phases.smooth_start import SmoothStart
+from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.math.pair import linear, value
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics

@@ -20,7 +20,7 @@ No force enters, and no vibration of a body: a frequency that the steps do not r
 What a step itself leaves stays: of order h^2 in all numbers.
 Source: Arnold and Bruels, Multibody Syst. Dyn. 18 (2007) 185-202 (a at the start); Arnold, Bruels, Cardona, Numer. Math. 129
 (2015) 149-179 (order of the multipliers, rates at the start); both for starts of a motion.
-Checked in tests/integrate/phases/test_smooth_start.py.
+Checked in tests/integrate/test_smooth_start.py.
 """
 
 from __future__ import annotations
