@@ -66,6 +66,12 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["TORCHMBD_CXXFLAGS"] = ""
 
 
+def _needs_extensions(item: pytest.Item) -> bool:
+    """Marked so, or a case that names the backend of compiled code."""
+    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    return item.get_closest_marker("extensions") is not None or "native" in map(str, parameters.values())
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """`@pytest.mark.thorough("a", "b")` marks the cases "a", "a-...", "...-b" of a test; without names all of them.
@@ -73,7 +79,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     All tests of contracts and experiments are thorough.
     """
     if CORE:
-        items[:] = [item for item in items if item.get_closest_marker("extensions") is None]
+        items[:] = [item for item in items if not _needs_extensions(item)]
     for item in items:
         if SECOND_TIER & {*item.path.relative_to(ROOT).parts}:
             item.add_marker(pytest.mark.thorough)

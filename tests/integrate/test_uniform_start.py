@@ -53,7 +53,7 @@ def let_go() -> tuple[mbd.System, list[mbd.Phase]]:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("backend", ["eager", pytest.param("native", marks=pytest.mark.extensions)])
+@pytest.mark.parametrize("backend", ["eager", "native"])
 def test_a_beam_that_is_let_go_converges(backend: str) -> None:
     """Newton's method from the accelerations of before did not come back; the load that is let go flies freely."""
     system, phases = let_go()

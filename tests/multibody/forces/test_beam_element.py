@@ -38,7 +38,7 @@ def place(K: torch.Tensor, backend: str, gradients: str = "auto") -> torch.Tenso
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("backend", ["eager", pytest.param("native", marks=pytest.mark.extensions)])
+@pytest.mark.parametrize("backend", ["eager", "native"])
 def test_gradients_by_stiffness(backend):
     K, h = coupled(), 1e-3
     along = torch.zeros(6, 6, dtype=torch.float64)

@@ -170,7 +170,7 @@ def test_a_motion_that_continues_another_knows_its_turns():
         assert math.remainder(turn, 2 * math.pi) == pytest.approx(0.0, abs=1e-10)
 
 
-@pytest.mark.parametrize("backend", ["eager", pytest.param("native", marks=pytest.mark.extensions)])
+@pytest.mark.parametrize("backend", ["eager", "native"])
 def test_a_clutch_opens(backend):
     """Released in a second phase: the first wheel gets its torque alone, the second keeps its speed."""
     phases = [mbd.Phase(until=0.8), mbd.Phase(release=["gear"])]
