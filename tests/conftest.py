@@ -68,8 +68,9 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def _needs_extensions(item: pytest.Item) -> bool:
     """Marked so, or a case that names the backend of compiled code."""
-    parameters = getattr(getattr(item, "callspec", None), "params", {})
-    return item.get_closest_marker("extensions") is not None or "native" in map(str, parameters.values())
+    parameters = getattr(getattr(item, "callspec", None), "params", {}).values()
+    named = any(isinstance(value, str) and value == "native" for value in parameters)
+    return named or item.get_closest_marker("extensions") is not None
 
 
 @pytest.hookimpl(tryfirst=True)
