@@ -1,9 +1,10 @@
-"""The walk through what a law holds: where it ends, and what it finds; the rest is in tests/sensitivity."""
+"""Arguments that are constants, and what the result of a user's function depends on; the rest is in tests/sensitivity."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import pytest
 import torch
 from torch import nn
 
@@ -13,20 +14,13 @@ from torchmbd.math.gradients import carries_gradient, constant_arguments, refuse
 K = nn.Parameter(torch.ones((), dtype=torch.float64))
 
 
-def test_the_walk_ends_where_things_hold_each_other():
-    held: list[Any] = [K.detach()]
-    held.append(held)
-    refuse_lost_gradients("law of 'x'", held, "none")
-    held.append({"k": K})
-    with refused("law of 'x'"):
-        refuse_lost_gradients("law of 'x'", held, "none")
-
+def test_an_argument_of_numbers_names_the_parameter_that_it_contains():
     @constant_arguments
     def f(x: Any, y: Any = None) -> Any:
         return y
 
     assert f(1, y=K.detach()) is not None
-    with refused("test_the_walk_ends_where_things_hold_each_other.<locals>.f.y"):
+    with refused("test_an_argument_of_numbers_names_the_parameter_that_it_contains.<locals>.f.y"):
         f(1, {"a": [K]})
 
 
@@ -51,14 +45,24 @@ class Parts:
     K = 2.0
 
 
-def test_an_attribute_with_the_name_of_a_global_is_no_global():
-    parts = Parts()
-    refuse_lost_gradients("law of 'x'", lambda s: parts.K * s, "none")
+def test_a_result_of_plain_numbers_is_taken():
+    parts, s = Parts(), torch.ones(2, dtype=torch.float64)
+    for result in (parts.K * s, K.detach() * s, K.item() * s, 1.0, None):
+        refuse_lost_gradients("law of 'x'", result, "none")
 
 
-def test_a_global_that_only_an_inner_function_reads_is_seen():
-    def law(s: Any) -> Any:
-        return (lambda x: -float(K) * x)(s)
-
+@pytest.mark.parametrize("kind", ["leaf", "computed", "in a list of others"])
+def test_a_result_that_depends_on_a_tensor_that_is_not_known_is_refused(kind):
+    k, s = (2.0 * K).exp(), torch.ones((), dtype=torch.float64)
+    result = {"leaf": K, "computed": k * s, "in a list of others": torch.stack([s, k]).sum()}[kind]
     with refused("law of 'x'"):
-        refuse_lost_gradients("law of 'x'", law, "none")
+        refuse_lost_gradients("law of 'x'", result, "none")
+    refuse_lost_gradients("law of 'x'", result, "none", known=[K])
+    if kind != "leaf":
+        refuse_lost_gradients("law of 'x'", result, "none", known=[k])
+
+
+def test_a_tensor_beside_a_known_one_is_seen():
+    known = K.detach().clone().requires_grad_()
+    with refused("law of 'x'"):
+        refuse_lost_gradients("law of 'x'", 2.0 * known + K, "none", known=[known])

@@ -230,10 +230,6 @@ REFUSED: dict[str, Callable[[Any], Any]] = {
     "terms of WeightedSum": lambda v: mbd.WeightedSum([(v, mbd.Mass())]),
     "center of Angle": lambda v: mbd.Angle("p", "z", center=v),
     "point of Position": lambda v: mbd.Position("b", "x", point=(v, 0.0, 0.0)),
-    "function of FunctionHistory": lambda v: mbd.history(lambda motion: v * motion.body("b").r[..., 0]),
-    "function of FunctionMeasure": lambda v: mbd.measure(lambda motion: v * motion.body("b").mass),
-    "function of an event": lambda v: mbd.Event(lambda motion: motion.body("b").r[..., 0] - v),
-    "impact of a phase": lambda v: mbd.Phase(until=mbd.Event(mbd.Position("b", "z")), impact=lambda m: v * m.v),
 }
 
 
@@ -243,6 +239,58 @@ def test_a_number_without_a_gradient_refuses_a_variable(name, kind):
     v = mbd.variable(1.0)
     with pytest.raises(mbd.InputError, match=name.strip()):
         REFUSED[name](v if kind == "variable" else 2.0 * v)
+
+
+def of_motions(k: Any) -> dict[str, Callable[[], Any]]:
+    """What calls functions of a motion that read k: responses, events, impacts."""
+    body = box("b")
+    system = mbd.System([body], gravity=(0.0, 0.0, -9.81), free=["b"])
+    motion = mbd.simulate(system, 0.02, steps=4)
+
+    def falls(**options: Any) -> Callable[[], Any]:
+        event = mbd.Event(options.pop("function", mbd.Position("b", "z") + 5e-4))
+        phases = [mbd.Phase(until=event, **options), mbd.Phase()]
+        return lambda: mbd.simulate(system, 0.02, steps=4, phases=phases)
+
+    return {
+        "response.<lambda>": lambda: mbd.history(lambda motion: k * motion.body("b").r[..., 0])(motion),
+        "response.scaled": lambda: mbd.measure(functools.partial(scaled_mass, k))(motion),
+        "phases.until.function": falls(function=lambda motion: motion.body("b").r[..., 2] + 5e-4 * k),
+        "phases.impact": falls(impact=lambda motion: -k * motion.v),
+    }
+
+
+def scaled_mass(k: Any, motion: Any) -> Tensor:
+    return k * motion.body("b").r[:, -1, 0]
+
+
+@pytest.mark.parametrize("name", of_motions(1.0))
+def test_a_function_of_a_motion_that_reads_a_parameter_is_refused_where_it_is_called(name):
+    of_motions(torch.tensor(1.0, dtype=torch.float64))[name]()
+    argument = name.replace("scaled", "scaled_mass")
+    for k in (mbd.variable(1.0), 2.0 * mbd.variable(0.5)):
+        with refused(argument):
+            of_motions(k)[name]()
+
+
+@pytest.mark.parametrize("gradients", ["forward", "reverse"])
+def test_a_response_of_a_design_that_reads_its_parameter_itself_is_refused(gradients):
+    k = mbd.variable(2.0)
+    body = box("b")
+    spring = mbd.SpringDamper(GROUND.at(), body.at(0.1, 0.0, 0.0), stiffness=k, name="spring")
+    system = mbd.System([body], forces=[spring], free=["b"])
+    motion = mbd.simulate(system, 0.01, steps=4, gradients=gradients)
+    force = mbd.measure(lambda motion: k * motion.body("b").r[:, -1, 0])
+    with refused("response.<lambda>"):
+        force.value_and_gradient(motion)
+    allowed = mbd.measure(lambda motion: motion.designs["spring.stiffness"] * motion.body("b").r[:, -1, 0])
+    assert allowed.value_and_gradient(motion).gradient is not None
+
+
+def test_a_law_may_take_the_number_of_a_parameter():
+    body = box("arm")
+    for law in (lambda s, rate, t: -K.detach() * s, lambda s, rate, t: -K.item() * s):
+        mbd.SpringDamper(GROUND.at(), body.at(0.1, 0.0, 0.0), law=law)
 
 
 TAKEN: dict[str, Callable[[Any], Any]] = {

@@ -22,6 +22,7 @@ from torchmbd.design.response import History, Measure
 from torchmbd.diagnosis.response_error import change_by_motion
 from torchmbd.errors import InputError, warn
 from torchmbd.integrate import Trajectory
+from torchmbd.math.gradients import refuse_lost_gradients
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,9 @@ def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: 
             state=f"returned {returned}",
             noun=f"response {name!r}",
         )
+    if motion.integration is not None:  # parts of a motion are given to functions that were called on the whole motion
+        with torch.inference_mode(False), torch.enable_grad():
+            refuse_lost_gradients(("response", name), function(motion.detach()), "constant tensors")
     if torch.is_grad_enabled() and motion.q.requires_grad and not result.requires_grad:
         warn(
             f"response {name!r} has a gradient of zero, because torch operations do not connect its result with the motion. "

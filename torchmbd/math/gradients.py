@@ -2,22 +2,20 @@
 
     refuse_gradients(("rod", "mass"), mass)                InputError for numbers that are read as constants
     @constant_arguments                                    the same for all arguments of a function that are floats
-    refuse_lost_gradients(("spring", "law"), law, allowed) InputError for tensors with a gradient that a user's function holds
+    refuse_lost_gradients(("spring", "law"), f, allowed)   InputError if what a user's function returns depends on other tensors
     is_differentiated(x), untransformed(x)                 tensors under autograd, dual numbers and torch.func
 
-`refuse_lost_gradients` searches closures, default arguments, globals, bound objects, attributes, functools.partial and
-containers of a function, and the modules and functions that these refer to. Which globals a function reads is in its bytecode
-alone: `co_names` has attributes too, and would refuse `p.k` for a global variable k.
+`refuse_lost_gradients` looks at the autograd graph of a result, so the function is called once on plain numbers, and it does
+not matter where the function keeps a tensor (closure, global, attribute, partial). A function that takes the number of a
+tensor, by `k.detach()`, `k.item()` or `float(k)`, treats it as a constant; torch warns of the last one.
 Checked in tests/math/test_gradients.py, tests/sensitivity/test_refused_gradients.py.
 """
 
 from __future__ import annotations
 
-import dis
 import functools
 import inspect
-import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ParamSpec, TypeVar
 
 import torch
@@ -37,9 +35,6 @@ _VARIABLE_KINDS = {
     "Angles": "numbers, or a torch.nn.Parameter",
 }
 _CONTAINERS = (list, tuple, set, frozenset)
-_CLOSED = (types.ModuleType, type, str, bytes, int, float, complex, type(None), torch.dtype, torch.device)
-_OF_MODULE = frozenset(vars(nn.Module()))
-_LIBRARIES = ("torch", "numpy", "scipy", "builtins", "functools", "operator")
 
 
 def is_variable(x: Any) -> bool:
@@ -137,71 +132,39 @@ def _number(x: Any) -> bool:
     return True
 
 
-def refuse_lost_gradients(name: str | Path, law: Any, allowed: str, registered: nn.Module | None = None) -> None:
-    """InputError if a function or object of a user contains a tensor whose gradient would be lost.
+def refuse_lost_gradients(name: str | Path, result: Any, allowed: str, known: Iterable[Tensor] = ()) -> None:
+    """InputError if the result of a user's function depends on another tensor, whose gradient would be lost.
 
-    registered   a module whose parameters are differentiated, and so allowed
+    result   of a call in grad mode
+    known    tensors that are differentiated: arguments of the function, registered parameters
     """
-    known = {id(x) for x in registered.parameters()} if registered is not None else set()
-    seen: set[int] = set()
-    stack: list[tuple[str, Any]] = [("", law)]
+    if not isinstance(result, Tensor):
+        return
+    held = _held(result, list(known))
+    if held is not None:
+        shown = " ".join(repr(held).split())
+        raise InputError(
+            name,
+            allowed=f"{allowed}, such as x.detach() if x does not vary",
+            state=f"reads a tensor that requires a gradient, which would be lost here: {shown}",
+        )
+
+
+def _held(result: Tensor, known: list[Tensor]) -> Tensor | None:
+    """A leaf of the autograd graph of a result that is not one of the known tensors and not behind one; None without one."""
+    ends: list[Any] = [x.grad_fn for x in known if x.grad_fn is not None]  # alive: nodes are compared by identity
+    leaves, seen = {id(x) for x in known}, {id(node) for node in ends}
+    if result.requires_grad and result.is_leaf:
+        return None if id(result) in leaves else result
+    stack: list[Any] = [result.grad_fn]
     while stack:
-        path, x = stack.pop()
-        if isinstance(x, Tensor):
-            if carries_gradient(x) and id(x) not in known:
-                raise InputError(
-                    name,
-                    allowed=f"{allowed}, such as x.detach() if x does not vary",
-                    state=f"has design variables ({path.strip() or 'itself'}), which would not be differentiated",
-                )
-        elif id(x) not in seen and not isinstance(x, _CLOSED):
-            seen.add(id(x))
-            stack += [(f"{path} {label}", y) for label, y in _contents(x)]
-
-
-def _contents(x: Any) -> Iterator[tuple[str, Any]]:
-    """The contents of an object, with labels."""
-    if isinstance(x, Mapping):
-        yield from ((f"[{key!r}]", y) for key, y in x.items())
-    elif isinstance(x, _CONTAINERS):
-        yield from ((f"[{i}]", y) for i, y in enumerate(x))
-    elif isinstance(x, functools.partial):
-        yield from (("function", x.func), ("arguments", x.args), ("arguments", x.keywords))
-    elif isinstance(x, types.MethodType):
-        yield from (("method", x.__func__), ("object", x.__self__))
-    elif isinstance(x, types.FunctionType):
-        yield from _function_contents(x)
-    elif isinstance(x, nn.Module):
-        for members in (x.named_parameters(recurse=False), x.named_buffers(recurse=False), x.named_children()):
-            yield from ((f"module {name}", y) for name, y in members)
-        if not _of_library(type(x)):
-            yield "method", type(x).forward
-            yield from ((f"attribute {k}", y) for k, y in vars(x).items() if k not in _OF_MODULE)
-    elif not _of_library(type(x)):
-        methods = {k: f for kind in reversed(type(x).__mro__) for k, f in vars(kind).items()}
-        yield "method", methods.get("__call__")
-        slots = [k for kind in type(x).__mro__ for k in getattr(kind, "__slots__", ()) if isinstance(k, str)]
-        attributes = getattr(x, "__dict__", {}) | {k: getattr(x, k) for k in slots if hasattr(x, k)}
-        yield from ((f"attribute {name}", y) for name, y in attributes.items())
-
-
-def _function_contents(f: types.FunctionType) -> Iterator[tuple[str, Any]]:
-    for name, cell in zip(f.__code__.co_freevars, f.__closure__ or (), strict=True):
-        try:
-            yield f"closure {name}", cell.cell_contents
-        except ValueError:  # an empty cell: a function that calls itself
+        node = stack.pop()
+        if node is None or id(node) in seen:
             continue
-    yield from (("default", f.__defaults__), ("defaults", f.__kwdefaults__), ("attributes", vars(f)))
-    if not _of_library(f):
-        yield from ((f"global {name}", f.__globals__[name]) for name in _globals(f.__code__) if name in f.__globals__)
-
-
-@functools.lru_cache(maxsize=1024)  # laws are looked at before every batch
-def _globals(code: types.CodeType) -> set[str]:
-    """Names of globals that a function, or one defined in it, reads."""
-    names = {x.argval for x in dis.get_instructions(code) if x.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
-    return names.union(*(_globals(c) for c in code.co_consts if isinstance(c, types.CodeType)))
-
-
-def _of_library(x: Any) -> bool:
-    return (getattr(x, "__module__", None) or "builtins").partition(".")[0] in _LIBRARIES
+        seen.add(id(node))
+        ends.append(node)
+        leaf = getattr(node, "variable", None)
+        if leaf is not None and id(leaf) not in leaves:
+            return leaf
+        stack += [parent for parent, _ in node.next_functions]
+    return None

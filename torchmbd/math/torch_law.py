@@ -8,7 +8,7 @@ Checked in tests/math/test_torch_law.py, tests/multibody/joints/test_laws.py, te
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, Path, user_line
 from torchmbd.math.forward_mode import jvp
+from torchmbd.math.gradients import refuse_lost_gradients
 
 # What a law may raise where it ends, as a table does, at states and times that a motion need not come to.
 OUT_OF_RANGE = (ValueError, IndexError, ArithmeticError, AssertionError)
@@ -26,23 +27,31 @@ AROUND = (0.0, -1.0, -0.4, 0.7, 1.0)  # steps from a place: not symmetric, so th
 SMOOTH = 0.1
 
 
-def require_differentiable(what: Path, law: Callable[[Tensor], Any], allowed: str, signed: bool = False) -> None:
-    """InputError for a law of one number [] that torch does not differentiate.
+def require_differentiable(
+    what: Path, law: Callable[[Tensor], Any], allowed: str, signed: bool = False, known: Iterable[Tensor] = ()
+) -> None:
+    """InputError for a law of one number [] that torch does not differentiate, or that reads other tensors with a gradient.
 
     what     the keys to the law, as ("spring", "law")
     allowed  what a law may be
-    signed   the argument is a coordinate or a rate, which may be negative, and no time
+    signed   the argument is a coordinate or a rate, which may be negative, and not a time
+    known    parameters of the law that are design variables
     """
+    known = list(known)
     _slope(what, law, 0.0, allowed)
     for place in (*PLACES, *(-x for x in PLACES[1:] if signed)):
         try:
-            before, here, after = (float(law(_number(place + k * STEP))) for k in (-1, 0, 1))
+            with torch.inference_mode(False), torch.enable_grad():
+                forces = [law(_number(place + k * STEP)) for k in (-1, 0, 1)]
+            before, here, after = (float(x.detach() if isinstance(x, Tensor) else x) for x in forces)
         except OUT_OF_RANGE:
             continue
         except Exception as error:  # a law may do anything
             raise InputError(
                 what, law, allowed, state=f"raises {error!r} in {user_line(error)} near {place:.6g}"
             ) from error
+        for x in forces:
+            refuse_lost_gradients(what, x, allowed, known)
         change = after - before
         smooth = change != 0.0 and abs(after - 2.0 * here + before) <= SMOOTH * abs(change)
         if smooth and all(_slope(what, law, place + k * STEP, allowed) == 0.0 for k in AROUND):
@@ -57,7 +66,7 @@ def _number(x: float) -> Tensor:
 def _slope(what: Path, law: Callable[[Tensor], Any], place: float, allowed: str) -> float:
     at = _number(place)
     try:
-        return float(jvp(law, (at,), (torch.ones_like(at),))[1])
+        return float(jvp(law, (at,), (torch.ones_like(at),))[1].detach())
     except InputError:
         raise
     except Exception as error:  # a law may do anything

@@ -41,7 +41,7 @@ BAD = {
         "other numbers when it is called again",
     ),
     "raises": (lambda x, w: w * x[:, :7] @ x, "raises"),
-    "lost": (lambda x, w: w * SECRET * x[:, :1], "SECRET"),
+    "lost": (lambda x, w: w * SECRET * x[:, :1], r"tensor\(1\., .*requires_grad=True\)"),
 }
 
 

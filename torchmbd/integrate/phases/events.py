@@ -72,7 +72,6 @@ class Event:
             )
         if getattr(self.function, "since_start", False):
             raise self._not_of_an_instant("is a change since the start of the motion")
-        refuse_lost_gradients("function of an event", self.function, "constant tensors")
         if not isinstance(self.direction, str) or self.direction not in DIRECTIONS:
             raise InputError("direction", self.direction, ", ".join(DIRECTIONS), noun="direction of an event")
 
@@ -310,7 +309,12 @@ class Views:
 
     def value(self, event: Event, lanes: Sequence[int], dynamics: Dynamics, t: Any, x: State) -> Tensor:
         """The function of some lanes [lanes], each at its own time."""
-        return self.evaluate(event.at_once, lanes, dynamics.values(), value(t), x.values())[0, 0]
+        adjoint = torch.is_grad_enabled()  # goes again through a motion whose events were checked
+        with torch.enable_grad():
+            g = self.evaluate(event.at_once, lanes, dynamics.values(), value(t), x.values())[0, 0]
+        if not adjoint:
+            refuse_lost_gradients(("phases", "until", "function"), g, "constant tensors", self.whole.designs.values())
+        return g if adjoint else g.detach()
 
     def of_lanes(self, event: Event, dynamics: Dynamics, t: Tensor, x: State) -> Tensor:
         """The function of all lanes [lanes], each at its own time, in the graph of its arguments."""

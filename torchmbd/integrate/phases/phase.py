@@ -32,7 +32,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrate.phases.events import Event
 from torchmbd.math.checked_numbers import is_real
-from torchmbd.math.gradients import is_differentiated, refuse_lost_gradients, untransformed
+from torchmbd.math.gradients import is_differentiated, refuse_gradients, untransformed
 from torchmbd.multibody.forces.action import Law
 from torchmbd.multibody.joints import Joint
 
@@ -103,7 +103,7 @@ class Phase:
                 noun="impact of a phase",
                 state=f"is given, but until={self.until!r}",
             )
-        refuse_lost_gradients("impact of a phase", self.impact, "constant tensors")
+        refuse_gradients("impact", self.impact, "a number, or a map of the velocities")
         number = is_real(self.impact) and 0.0 <= float(self.impact) <= 1.0  # pyright: ignore[reportArgumentType]
         if self.impact is not None and not callable(self.impact) and not number:
             raise InputError("impact", self.impact, "from 0 to 1, or a map of the velocities", noun="impact of a phase")

@@ -23,6 +23,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrate.phases.events import Event, SubstituteSignals, Views, gap_gradient
 from torchmbd.math.elementwise import reciprocal
+from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.times_as_lanes import at_time
@@ -193,7 +194,15 @@ def velocities_after_impact(
 ) -> Any:
     """Velocities [n_v, ...] of lanes after the impact that ends a phase: a restitution, or a map motion -> v."""
     if callable(impact):
-        return views.evaluate(lambda motion: _velocities(impact, motion)[:, 0].T, lanes, dynamics, t, x)
+
+        def after(motion: Trajectory) -> Tensor:
+            return _velocities(impact, motion)[:, 0].T
+
+        if not torch.is_grad_enabled():  # else the adjoint goes again through a motion whose impacts were checked
+            with torch.enable_grad():
+                plain = views.evaluate(after, lanes, dynamics.values(), value(t), x.values())
+            refuse_lost_gradients(("phases", "impact"), plain, "constant tensors", views.whole.designs.values())
+        return views.evaluate(after, lanes, dynamics, t, x)
     g_q, g_t = gap_gradient(event, views, lanes, dynamics, t, x)
 
     def rebound(dynamics: Dynamics, t: Tensor, q: Any, v: Any, g_q: Any, g_t: Any) -> tuple:

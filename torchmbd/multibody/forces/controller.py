@@ -93,7 +93,6 @@ def _check(control: Control) -> None:
                 state=f"of the {control.label} is {p.dtype}",
                 hint=".double()",
             )
-    refuse_lost_gradients(control.label, control.module, VARIABLES, control.module)
     with torch.inference_mode(False), torch.enable_grad():
         x = torch.randn(1, control.inputs, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
         for at in (torch.zeros_like(x), x):
@@ -116,6 +115,7 @@ def _check_gradients(control: Control, x: Tensor) -> None:
     x = x.requires_grad_()
     u = _called(control, x)
     parameters = {name: p for name, p in control.module.named_parameters() if p.requires_grad}
+    refuse_lost_gradients(control.label, u, VARIABLES, [x, *parameters.values()])
     by: Any = [None] * (1 + len(parameters))
     if u.requires_grad:
         by = torch.autograd.grad(u.sum(), [x, *parameters.values()], allow_unused=True)

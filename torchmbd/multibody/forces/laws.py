@@ -358,9 +358,8 @@ def check_data_fields(name: str, law: Any) -> None:
 
 def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
     """The value of a law at some arguments; InputError if it raises, or has parameters without a gradient."""
-    refuse_lost_gradients((name, "law"), law, VARIABLES)
     try:
-        with torch.enable_grad():
+        with torch.inference_mode(False), torch.enable_grad():
             f = law(*at)
     except Exception as error:  # a function of users may raise any error
         raise InputError(
@@ -368,7 +367,8 @@ def evaluate_law(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
             allowed=f"a torch function of {len(at)} tensors",
             state=f"raises {error!r} in {user_line(error)}",
         ) from error
-    refuse_gradients(f"what the law of {name!r} returns", f, VARIABLES)
+    refuse_lost_gradients((name, "law"), f, VARIABLES)
+    refuse_gradients((name, "law"), f, VARIABLES)
     return f
 
 

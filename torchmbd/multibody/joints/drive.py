@@ -100,7 +100,7 @@ def _number(x: Any) -> float:
 
 def _checked(name: str, key: str, law: Any) -> FiniteLaw:
     try:
-        with torch.enable_grad():
+        with torch.inference_mode(False), torch.enable_grad():
             start = law(torch.zeros((), dtype=torch.float64)) if callable(law) else law
     except Exception as error:  # a function of users may raise any error
         start = error
@@ -115,11 +115,12 @@ def _checked(name: str, key: str, law: Any) -> FiniteLaw:
             allowed=f"a torch function of time, [] [s] -> finite [] [{unit}], float64; {OF_TABLES}",
             state=f"gives {(text if len(text) <= _SHOWN else text[:_SHOWN] + '...')} at t = 0",
         )
+    known = list(law.parameters()) if isinstance(law, nn.Module) else []
+    refuse_lost_gradients((name, key), start, VARIABLES, known)
     if not hasattr(law, "slopes"):
-        require_differentiable((name, key), law, DIFFERENTIABLE)
+        require_differentiable((name, key), law, DIFFERENTIABLE, known=known)
     prescribed: Any = law
     variables = ParameterVector.of(law)
-    refuse_lost_gradients((name, key), law, VARIABLES, law if isinstance(law, nn.Module) else None)
     if variables is None:
         refuse_gradients((name, key), start, VARIABLES)
     return FiniteLaw(name, prescribed) if variables is None else ParametricDrive(name, variables)

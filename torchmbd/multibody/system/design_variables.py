@@ -19,8 +19,10 @@ from torchmbd.math.gradients import is_differentiated, refuse_lost_gradients
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES
 from torchmbd.multibody.forces.controller import VARIABLES as OF_CONTROLLERS
+from torchmbd.multibody.forces.controller import Controller
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.laws import VARIABLES as OF_FORCES
+from torchmbd.multibody.forces.parametric_law import is_library_law
 from torchmbd.multibody.joints.drive import VARIABLES as OF_DRIVES
 
 _CONSTANTS = ("axes",)  # numbers of bodies that cannot be design variables
@@ -76,13 +78,18 @@ def refuse_lost_constants(system: Any) -> None:
 
 
 def refuse_lost_laws(system: Any) -> None:
-    """InputError for laws of a system with a tensor whose gradient would be lost."""
-    for kind in system.topology.actions:
-        for law in kind.laws:
-            if isinstance(law, Port):
-                refuse_lost_gradients(law.control.label, law.control.module, OF_CONTROLLERS, law.control.module)
-            else:
-                refuse_lost_gradients("law of a force", law, OF_FORCES)
-    for joint in system.joints:
-        registered = joint.variables.module if joint.variables else None
-        refuse_lost_gradients((joint.name, "law"), getattr(joint, "law", None), OF_DRIVES, registered)
+    """InputError for laws of users that read a tensor whose gradient would be lost."""
+    with torch.inference_mode(False), torch.enable_grad():
+        for control in (force.control for force in system.forces if isinstance(force, Controller)):
+            u = control.module(torch.zeros(1, control.inputs, dtype=torch.float64))
+            refuse_lost_gradients(control.label, u, OF_CONTROLLERS, control.module.parameters())
+        zero = torch.zeros(1, 1, 1, dtype=torch.float64)
+        for law in {id(law): law for kind in system.topology.actions for law in kind.laws}.values():
+            if not isinstance(law, Port) and not is_library_law(law):
+                refuse_lost_gradients("law of a force", law(zero, zero, zero[0, 0, 0]), OF_FORCES)
+        for joint in system.joints:
+            law = getattr(joint, "law", None)
+            if callable(law):
+                registered = joint.variables.module.parameters() if joint.variables else ()
+                start = law(torch.zeros((), dtype=torch.float64))
+                refuse_lost_gradients((joint.name, "law"), start, OF_DRIVES, registered)
