@@ -44,5 +44,5 @@ def core(tmp_path, empty_store):
 def test_a_study_runs_without_extensions(core):
     file = "configs/slider_crank/l1_energy_integral.yaml"
     assert "finished after" in core("-m", "torchmbd", "run", file, *SHORT)
-    code = "import torchmbd as m; print(len([getattr(m, name) for name in m.__all__]), hasattr(m, 'rainflow'))"
+    code = "import torchmbd as m; print(len([getattr(m, name) for name in m.__all__]), hasattr(m, 'fatigue'))"
     assert core("-c", code).split()[1] == "False"

@@ -8,6 +8,7 @@ import inspect
 import io
 import shutil
 from collections.abc import Iterator
+from operator import attrgetter
 from types import ModuleType
 from typing import Any
 
@@ -17,6 +18,7 @@ import torch
 
 import torchmbd as mbd
 from torchmbd import cli
+from torchmbd.api import ROOMS, all_names
 from torchmbd.registry import public_names
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
@@ -32,11 +34,11 @@ def _members(module: ModuleType) -> list[str]:
 
 def _objects() -> Iterator[tuple[str, Any]]:
     """Public names, and those members of public modules that are no public names of their own."""
-    public = {name: getattr(mbd, name) for name in mbd.__all__}
+    public = {name: attrgetter(name)(mbd) for name in all_names()}
     known = {id(result) for result in public.values()}
     for name, result in public.items():
         yield name, result
-        if isinstance(result, ModuleType):
+        if isinstance(result, ModuleType) and name not in ROOMS:  # names in rooms are among the public ones
             members = {member: getattr(result, member) for member in _members(result)}
             yield from ((f"{name}.{member}", x) for member, x in members.items() if id(x) not in known)
 
@@ -49,9 +51,11 @@ def _methods(found: Any) -> list[Any]:
     return [x for x in members if isinstance(x, property) or callable(x)]
 
 
-@pytest.mark.parametrize("name", mbd.__all__)
+@pytest.mark.parametrize("name", all_names())
 def test_every_public_name_has_an_example(name):
-    assert ">>> " in (inspect.getdoc(getattr(mbd, name)) or ""), f"mbd.{name}: an example is missing in its docstring"
+    assert ">>> " in (inspect.getdoc(attrgetter(name)(mbd)) or ""), (
+        f"mbd.{name}: an example is missing in its docstring"
+    )
 
 
 @pytest.fixture(scope="module")

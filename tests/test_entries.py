@@ -65,9 +65,15 @@ CASES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "nodes": (lambda: mbd.Mesh("x", SQUARE.triangles), "nodes is 'x'"),
     "uri": (lambda: mbd.load("run", 3), "uri is 3"),
-    "allowed": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), "x"), "allowed of .* is 'x'"),
-    "allowed by name": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), {"a": 1}), "allowed is {'a': 1}"),
-    "an allowed value": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), [["a"], 0.1]), "allowed of"),
+    "allowed": (lambda: mbd.optimization.optimize_discrete(problem(bounds=(-1.0, 1.0)), "x"), "allowed of .* is 'x'"),
+    "allowed by name": (
+        lambda: mbd.optimization.optimize_discrete(problem(bounds=(-1.0, 1.0)), {"a": 1}),
+        "allowed is {'a': 1}",
+    ),
+    "an allowed value": (
+        lambda: mbd.optimization.optimize_discrete(problem(bounds=(-1.0, 1.0)), [["a"], 0.1]),
+        "allowed of",
+    ),
     "parts": (lambda: mbd.FlexibleBody("r", SQUARE, None, 2), "r.parts is None"),
     "a part": (lambda: mbd.FlexibleBody("r", SQUARE, {"a": 3}, 2), "r.parts is {'a': 3}"),
     "no parts": (lambda: mbd.FlexibleBody("r", SQUARE, {}, 2), "r.parts is {}"),

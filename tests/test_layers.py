@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import torchmbd as mbd
+
 PACKAGE = Path(__file__).parents[1] / "torchmbd"
 # From the ground up; packages of one line do not import each other.
 LAYERS = (
@@ -33,7 +35,7 @@ LAYERS = (
     {"simulation"},
     {"optimization"},
     {"design"},
-    {"viz", "tracking", "examples"},
+    {"viz", "tracking", "examples", "io"},
     {"extensions.beamdyn", "extensions.fatigue", "extensions.fibers", "extensions.nastran", "extensions.ply_book"},
     {"extensions.native"},
     {
@@ -182,9 +184,11 @@ def extension_names(text: str) -> list[str]:
 
 
 def test_the_core_imports_no_extension():
-    """torchmbd/__init__.py has the names for type checkers, registry.py finds them."""
+    """torchmbd/__init__.py and torchmbd/io.py have the names for type checkers, registry.py finds them."""
     core = [PACKAGE / "__init__.py", *(file for file in FILES if PACKAGE / "extensions" not in file.parents)]
     result = {module(file): names for file in core if (names := extension_names(file.read_text()))}
+    readers = result.pop("torchmbd.io")
+    assert all(name.rpartition(".")[2] in dir(mbd.io) for name in readers)
     assert result == {"torchmbd": ["torchmbd.extensions.*"], "torchmbd.registry": ["torchmbd.extensions"]}
 
 

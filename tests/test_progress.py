@@ -27,7 +27,7 @@ def test_it_is_shown_on_request(progress, capsys):
 
 
 def test_starts_are_counted(capsys):
-    study = mbd.multistart(bowl(), "slsqp", mbd.sobol(3, seed=1), progress=True)
+    study = mbd.optimization.multistart(bowl(), "slsqp", mbd.optimization.sobol(3, seed=1), progress=True)
     assert "3/3" in capsys.readouterr().err
     frame = study.to_dataframe()
     assert list(frame.index) == [0, 1, 2]

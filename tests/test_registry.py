@@ -82,14 +82,14 @@ def test_extensions_need_those_that_they_import(tables):
 @pytest.mark.extensions
 def test_an_extension_is_not_there_without_those_that_it_needs(tables):
     absent = SimpleNamespace(
-        NAMES={"lamination": "LaminationRegion"},
+        NAMES={"lamination": "lamination.LaminationRegion"},
         NEEDS={"lamination": ("fibers_of_others",)},
         ENTRIES={"of_design": {"lamination_region": "lamination:LaminationRegion"}},
     )
     tables(absent)
     text = "the extension lamination needs the extension fibers_of_others, which is not installed"
-    with pytest.raises(AttributeError, match=rf"mbd\.LaminationRegion: {text}"):
-        mbd.LaminationRegion  # noqa: B018
+    with pytest.raises(AttributeError, match=rf"mbd\.lamination: {text}"):
+        mbd.lamination.LaminationRegion  # noqa: B018
     entries = registry.Registry("of_design", {})
     assert (*entries,) == ()
     assert entries.missing("lamination_region") == text
@@ -137,5 +137,26 @@ def test_the_tables_name_every_extension_and_type_checkers_know_the_names():
     assert {name: sorted(result.__all__) for name, result in modules.items()} == {
         k: sorted(x) for k, x in listed.items()
     }
-    starred = re.findall(rf"from {registry.EXTENSIONS}\.(\w+) import \*", (FOLDER / "__init__.py").read_text())
-    assert starred == sorted(name for name in extensions.NAMES if "." not in name)
+    text = (FOLDER / "__init__.py").read_text()
+    assert re.findall(rf"from {registry.EXTENSIONS} import (\w+) as \1", text) == registry.rooms()
+    starred = re.findall(rf"from {registry.EXTENSIONS}\.(\w+) import \*", text)
+    assert starred == [name for name, names in extensions.NAMES.items() if any("." not in x for x in names.split())]
+    readers = re.findall(rf"from {registry.EXTENSIONS}\.\w+ import (\w+) as \1", (FOLDER.parent / "io.py").read_text())
+    assert sorted(f"io.{name}" for name in readers) == sorted(x for x in registry.public_names() if x.startswith("io."))
+
+
+@pytest.mark.extensions
+def test_a_room_has_the_names_of_its_extension_and_tells_what_is_missing(tables):
+    assert mbd.vibrations.campbell is importlib.import_module(f"{registry.EXTENSIONS}.vibrations").campbell
+    assert {"read_bdf", "write_model"} <= set(dir(mbd.io))
+    tables(
+        SimpleNamespace(
+            NAMES={"wear_of_others": "wear_of_others.Wear io.read_wear", "matrices": "io.read_matrix"},
+            NEEDS={},
+            ENTRIES={},
+        )
+    )
+    assert registry.rooms() == []
+    for name, call in {"wear_of_others": lambda: mbd.wear_of_others, "io.read_wear": lambda: mbd.io.read_wear}.items():  # pyright: ignore[reportAttributeAccessIssue]
+        with pytest.raises(AttributeError, match=rf"mbd\.{name}: the extension wear_of_others is not installed"):
+            call()

@@ -15,7 +15,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from torchmbd.registry import public, public_names
+from torchmbd.registry import public, public_names, rooms
 
 if TYPE_CHECKING:
     from torchmbd.api import *  # noqa: F403
@@ -27,7 +27,7 @@ __version__ = "0.1.0"
 def __getattr__(name: str) -> Any:
     api = importlib.import_module("torchmbd.api")
     if name == "__all__":
-        return [*api.__all__, *(x for x in public_names() if "." not in x)]
+        return [*api.__all__, *rooms(), *(x for x in public_names() if "." not in x)]
     return getattr(api, name) if name in api.__all__ else public(name)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torchmbd import examples, viz
+from torchmbd import examples, io, optimization, viz
 from torchmbd.design import (
     RMS,
     Acceleration,
@@ -21,13 +21,13 @@ from torchmbd.design import (
     DesignSpace,
     Displacement,
     Final,
-    Frequencies,
     Frequency,
     History,
     Integral,
     Mass,
     Max,
     Mean,
+    MeanFrequency,
     Measure,
     Min,
     Position,
@@ -50,12 +50,11 @@ from torchmbd.design.sharpening import sharpen
 from torchmbd.design.verification import verify
 from torchmbd.diagnosis.truncation import static_truncation
 from torchmbd.errors import DesignFailure, InputError, MbdError, SimulationFailure
-from torchmbd.fem import mesh, sections
+from torchmbd.fem import mesh, reduction, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
-from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.integrate import Event, Phase, Trajectory
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
@@ -95,20 +94,11 @@ from torchmbd.multibody.joints import (
     Spherical,
     Universal,
 )
-from torchmbd.multibody.statics import Vibrations, frequencies
+from torchmbd.multibody.statics import NaturalModes, natural_frequencies
 from torchmbd.multibody.system import Chain, Dynamics, System, split
-from torchmbd.optimization import (
-    OptimizationResult,
-    Processes,
-    RobustProblem,
-    latin_hypercube,
-    optimize,
-    optimize_discrete,
-    pareto_front,
-    sobol,
-)
-from torchmbd.optimization.multistart import multistart
+from torchmbd.optimization import optimize
 from torchmbd.process import threads
+from torchmbd.registry import public_names, rooms
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.results.section_history import SectionHistory
 from torchmbd.simulation import Equilibrium, Simulation, equilibrium, simulate
@@ -162,6 +152,20 @@ def problem_of(file: str | Path, *assignments: str) -> Problem:
     return load_study(file, assignments).simulated
 
 
+#: Room of the core -> its public names, `mbd.<room>.<name>`; those of extensions are in torchmbd/extensions/__init__.py.
+ROOMS = {
+    "optimization": "OptimizationResult Processes RobustProblem latin_hypercube multistart optimize_discrete pareto_front "
+    "sobol",
+    "reduction": "craig_bampton eigenpair_branches eigenpairs modal_basis spectral_function",
+}
+
+
+def all_names() -> list[str]:
+    """Return every public name as it stands behind `mbd.`: at the top and in rooms, such as "simulate" and "io.read_bdf"."""
+    in_rooms = [f"{room}.{name}" for room, names in ROOMS.items() for name in names.split()]
+    return [*__all__, *rooms(), *in_rooms, *public_names()]
+
+
 __all__ = [
     "RMS",
     "Acceleration",
@@ -198,7 +202,6 @@ __all__ = [
     "FlexibleBody",
     "Force",
     "Frame",
-    "Frequencies",
     "Frequency",
     "GivenSection",
     "Ground",
@@ -212,10 +215,11 @@ __all__ = [
     "Max",
     "MbdError",
     "Mean",
+    "MeanFrequency",
     "Measure",
     "Mesh",
     "Min",
-    "OptimizationResult",
+    "NaturalModes",
     "Phase",
     "Planar",
     "PlaneContact",
@@ -229,12 +233,10 @@ __all__ = [
     "Pressure",
     "Prismatic",
     "Problem",
-    "Processes",
     "Reaction",
     "RelativeDisplacement",
     "Revolute",
     "RigidBody",
-    "RobustProblem",
     "RotationalSpringDamper",
     "RotationalStop",
     "Scenarios",
@@ -257,34 +259,26 @@ __all__ = [
     "Trajectory",
     "Universal",
     "Velocity",
-    "Vibrations",
     "WeightedSum",
-    "craig_bampton",
     "deg",
-    "eigenpair_branches",
-    "eigenpairs",
     "equilibrium",
     "examples",
     "forces",
-    "frequencies",
     "history",
-    "latin_hypercube",
+    "io",
     "load",
     "measure",
     "mesh",
-    "modal_basis",
-    "multistart",
+    "natural_frequencies",
+    "optimization",
     "optimize",
-    "optimize_discrete",
-    "pareto_front",
     "problem_of",
     "progressive_failure",
+    "reduction",
     "sections",
     "sharpen",
     "signals",
     "simulate",
-    "sobol",
-    "spectral_function",
     "split",
     "static_truncation",
     "threads",

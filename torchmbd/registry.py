@@ -77,10 +77,17 @@ class Registry(MutableMapping[str, T]):
 
 
 def public(name: str) -> Any:
-    """What has a public name in an extension, such as "read_urdf"; AttributeError where nothing has, or it is not installed."""
+    """Return what has a public name in an extension, such as "io.read_urdf", or the room of an extension, such as "fatigue".
+
+    Raises AttributeError if no extension has the name, or if that extension is not installed.
+    """
     tables = _tables()
     if tables is None:
         raise AttributeError(f"{_no_attribute(name)}; {EXTENSIONS} is not installed")
+    if any(x.startswith(f"{name}.") for x in tables.NAMES.get(name, "").split()):
+        if absence := _absence(name):
+            raise AttributeError(f"mbd.{name}: {absence}")
+        return import_module(f"{EXTENSIONS}.{name}")
     for module, names in tables.NAMES.items():
         if name in names.split():
             if absence := _absence(module):
@@ -89,8 +96,15 @@ def public(name: str) -> Any:
     raise AttributeError(_no_attribute(name))
 
 
+def rooms() -> list[str]:
+    """Return the names of the extensions that are installed and are rooms: `mbd.vibrations` has the names of `vibrations`."""
+    named = {name.partition(".")[0] for name in public_names()}
+    tables = _tables()
+    return sorted(named & set(tables.NAMES)) if tables is not None else []
+
+
 def public_names() -> list[str]:
-    """Names at `mbd.` of the extensions that are installed."""
+    """Return the names at `mbd.` of the extensions that are installed, with their rooms: "io.read_bdf"."""
     tables = _tables()
     named = {} if tables is None else tables.NAMES
     return [name for module, names in named.items() if not _absence(module) for name in names.split()]

@@ -37,7 +37,7 @@ def blade() -> mbd.System:
 def campbell(settings: Settings) -> Result:
     """See the module header."""
     system, points = blade(), 3 if settings.quick else SPEEDS
-    clearance = mbd.CampbellClearance((1.0, 2.0, 3.0), (5.0, 40.0), tuple(range(1, MODES + 1)), points)
+    clearance = mbd.vibrations.CampbellClearance((1.0, 2.0, 3.0), (5.0, 40.0), tuple(range(1, MODES + 1)), points)
     names = [name for name, x in system.named_parameters() if x.numel() == PLIES]
     problem = mbd.Problem(
         system, 1e-5, mbd.Mass("blade"), [clearance >= 0.05], variables=names, start=None, steps=2, gradients="reverse"

@@ -21,15 +21,17 @@ from torchmbd.examples import slider_crank
 from torchmbd.extensions.native.codegen.compiler import unavailable
 
 DURATION, STEPS = 0.4, 200
-DAMAGE = mbd.FatigueDamage("arm", exponent={"11": 14.0, "22": 10.0, "12": 10.0}, repeats=1e6)
+DAMAGE = mbd.fatigue.FatigueDamage("arm", exponent={"11": 14.0, "22": 10.0, "12": 10.0}, repeats=1e6)
 
 
 def arm(controls: tuple[int, int], cells: tuple[int, int]) -> mbd.System:
     """A steered arm that swings with a tool whose mass is a parameter."""
     plate = mbd.mesh.rectangle(length=0.5, width=0.05, cells=cells)
-    field = mbd.FiberField(plate, controls, degree=1)
+    field = mbd.fibers.FiberField(plate, controls, degree=1)
     turn = 0.1 * torch.rand(field.controls, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    laminate = mbd.SteeredLaminate(mbd.examples.carbon(), turn + torch.tensor(mbd.deg([20.0, -20.0])), 1e-3, field)
+    laminate = mbd.fibers.SteeredLaminate(
+        mbd.examples.carbon(), turn + torch.tensor(mbd.deg([20.0, -20.0])), 1e-3, field
+    )
     upright = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     body = mbd.FlexibleBody.plate(
         "arm", plate, laminate, modes=4, position=(0.25, 0, 0), axes=upright, reference="left_edge"

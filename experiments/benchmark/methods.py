@@ -89,9 +89,9 @@ def methods(settings: Settings) -> Result:
             warnings.simplefilter("ignore")  # of loads and steps, which are equal for all methods
             problem = CASES[name].problem()
             independent = CASES[name].independent(problem)
-            starts = mbd.sobol(STARTS, seed=SEED, include_initial=True)
+            starts = mbd.optimization.sobol(STARTS, seed=SEED, include_initial=True)
             results = {
-                method: mbd.multistart(problem, method, starts, max_analyses=limit, progress=False).results
+                method: mbd.optimization.multistart(problem, method, starts, max_analyses=limit, progress=False).results
                 for method in chosen
             }
         optimum = least_value([result for each in results.values() for result in each])

@@ -113,7 +113,9 @@ class PeerProblem:
 def run(problem: Any, method: str, starts: int, iterations: int) -> tuple[float, Any]:
     """Wall seconds of a multistart, and its result."""
     begin = time.perf_counter()
-    study = mbd.multistart(problem, method=method, starts=mbd.sobol(starts, seed=7), max_iterations=iterations)
+    study = mbd.optimization.multistart(
+        problem, method=method, starts=mbd.optimization.sobol(starts, seed=7), max_iterations=iterations
+    )
     return time.perf_counter() - begin, study
 
 
@@ -131,7 +133,7 @@ def multistart(settings: Settings, starts: int = STARTS, iterations: int = ITERA
             with compilation(ready):
                 seconds, study = run(own_problem(steps), method, starts, iterations)
                 rows.append([f"torchmbd, {method}, one process", seconds, *_summary(study), None])
-                with mbd.Processes(own_problem(steps), PROCESSES) as problem:
+                with mbd.optimization.Processes(own_problem(steps), PROCESSES) as problem:
                     problem.wait()
                     seconds, study = run(problem, method, starts, iterations)
             total["ours"] += seconds

@@ -68,7 +68,7 @@ def swing(t: torch.Tensor, rate: float = 60.0, rise: float = 0.2) -> torch.Tenso
 def problem(system: mbd.System, duration: float = 0.6, steps: int = 120) -> mbd.Problem:
     sway, sag = mbd.Displacement("arm", "y", node="end", seen_from="hub"), mbd.Displacement("arm", "z", node="end")
     limits = [
-        mbd.SystemFrequency(1) >= 11.0,
+        mbd.vibrations.SystemFrequency(1) >= 11.0,
         mbd.Max(mbd.PlyFailure("arm")) <= 0.3,
         mbd.Max(abs(sway)) <= 0.016,
         mbd.Max(abs(sag)) <= 2e-3,
@@ -125,8 +125,8 @@ def tube_starts(settings: Settings) -> Result:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for modes in () if settings.quick else MODES:
-            starts = mbd.sobol(STARTS, seed=SEED, include_initial=True)
-            results = mbd.multistart(problem(first(modes)), starts=starts, progress=False).results
+            starts = mbd.optimization.sobol(STARTS, seed=SEED, include_initial=True)
+            results = mbd.optimization.multistart(problem(first(modes)), starts=starts, progress=False).results
             rows += [[modes, k, r.value, r.analyses, r.failures, r.status] for k, r in enumerate(results)]
     columns = ["modes", "start", "kg", "simulations", "failed", "status"]
     return Result(tables=[Grid("first tube: several starts, default method", columns, rows)])

@@ -19,39 +19,49 @@ from typing import Any
 from unittest.mock import patch
 
 import torchmbd as mbd
-from torchmbd.registry import public_names
+from torchmbd import api
+from torchmbd.registry import public_names, rooms
 from torchmbd.study.file.json_schema import json_schema
 from torchmbd.study.file.scaffold import write_experiment
 
 ROOT = Path(__file__).parents[2]
+ROOMS = ("io", *api.ROOMS, *rooms())  # whose names have places of their own in GROUPS
 GROUPS: dict[str, str] = {
-    "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
-    "recover_stacks recover_blended_stacks progressive_failure deg",
-    "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable read_beamdyn read_windio",
-    "bodies": "Ground RigidBody FlexibleBody read_bdf write_bdf write_model write_ply_book read_mesh read_matrix "
-    "Frame Interface",
+    "materials": "Ply Laminate fibers.SteeredLaminate fibers.FiberField lamination.LaminationParameters Strength "
+    "fatigue.SNCurve lamination.LaminationRules lamination.recover_stacks lamination.recover_blended_stacks "
+    "progressive_failure deg fibers lamination fatigue",
+    "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable io.read_beamdyn io.read_windio",
+    "bodies": "Ground RigidBody FlexibleBody io.read_bdf io.write_bdf io.write_model io.write_ply_book io.read_mesh "
+    "io.read_matrix Frame Interface io",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane PointOnCurve Distance Fixed "
     "JointCoupling Drive ConstantSpeed Sine SmoothStep",
-    "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "
-    "Pressure Temperature AxialStop RotationalStop PlaneContact forces variable",
+    "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque Pressure "
+    "Temperature AxialStop RotationalStop PlaneContact forces variable",
     "feedback": "Controller ControlHistory signals",
-    "systems": "System Dynamics static_truncation read_urdf read_mjcf examples",
+    "systems": "System Dynamics static_truncation io.read_urdf io.read_mjcf examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
-    "simulation": "simulate Simulation equilibrium Equilibrium campbell Campbell frozen_poles linearize LinearSystem "
-    "buckling Buckling frequencies Vibrations Trajectory Phase Event threads",
-    "results": "SectionHistory PlyHistory viz viz.animate_mode viz.campbell viz.data_and_model viz.fiber_paths viz.mode_motion "
-    "viz.root_locus viz.save_mesh viz.save_modes viz.save_motion",
+    "simulation": "simulate Simulation equilibrium Equilibrium vibrations.campbell vibrations.CampbellDiagram "
+    "vibrations.frozen_poles vibrations.linearize vibrations.LinearSystem buckling.linear_buckling "
+    "buckling.BucklingModes natural_frequencies NaturalModes Trajectory Phase Event threads vibrations "
+    "buckling",
+    "results": "SectionHistory PlyHistory viz viz.animate_mode viz.campbell viz.data_and_model viz.fiber_paths "
+    "viz.mode_motion viz.root_locus viz.save_mesh viz.save_modes viz.save_motion",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
-    "BucklingIndex PlyFailure PlyStress History history",
-    "measures": "Integral Mean RMS Max Min SmoothMax Aggregate Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
-    "BucklingFactor SystemFrequency DampingRatio StabilityMargin CriticalSpeed CampbellClearance StabilityLimit "
-    "FrequencyResponse WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence "
-    "LaminationRegion Measure measure",
+    "buckling.BucklingIndex PlyFailure PlyStress History history",
+    "measures": "Integral Mean RMS Max Min SmoothMax Aggregate Final AtTime AtTimes AtPeaks Frequency MeanFrequency Mass "
+    "buckling.BucklingFactor vibrations.SystemFrequency vibrations.DampingRatio vibrations.StabilityMargin "
+    "vibrations.CriticalSpeed vibrations.CampbellClearance vibrations.StabilityLimit "
+    "vibrations.FrequencyResponse WeightedSum fatigue.Damage fatigue.EquivalentLoad fatigue.FatigueDamage "
+    "fatigue.rainflow fibers.FiberCurvature fibers.FiberDivergence lamination.LaminationRegion Measure measure",
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
-    "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
-    "verify sobol latin_hypercube",
-    "identification": "identify Identification Experiment TimeSeries StaticCurve ModalData FrequencyResponseData Channel",
-    "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
+    "optimization": "optimize sharpen optimization.multistart optimization.optimize_discrete optimization.pareto_front "
+    "optimization.OptimizationResult optimization.RobustProblem optimization.Processes verify "
+    "optimization.sobol optimization.latin_hypercube optimization",
+    "identification": "identification.identify identification.Identification identification.Experiment "
+    "identification.TimeSeries identification.StaticCurve identification.ModalData identification.FrequencyResponseData "
+    "identification.Channel identification",
+    "modes": "reduction.modal_basis reduction.craig_bampton reduction.eigenpairs reduction.eigenpair_branches "
+    "reduction.spectral_function reduction",
     "errors": "MbdError InputError SimulationFailure DesignFailure",
 }
 
@@ -71,7 +81,7 @@ def _entry(name: str, entry: Any, level: int, others: Collection[str] = ()) -> s
     head = f"{'#' * level} {name}\n"
     text = verbatim_columns(entry.__doc__ or "")
     if isinstance(entry, ModuleType):
-        members = [(f"{name}.{key}", getattr(entry, key)) for key in _names(name, entry)]
+        members = [(f"{name}.{key}", getattr(entry, key)) for key in _names(name, entry) if name not in ROOMS]
         members = [(key, member) for key, member in members if key not in others and not _is_public(member)]
     else:
         head += f"\n```python\n{_signature(name, entry)}\n```\n"

@@ -106,17 +106,19 @@ def measured(count: int = 150) -> dict[str, np.ndarray]:
     return result
 
 
-def experiment(clean: dict[str, np.ndarray], noise: float = 0.01) -> mbd.Experiment:
+def experiment(clean: dict[str, np.ndarray], noise: float = 0.01) -> mbd.identification.Experiment:
     """The arm with values that are 30 % off, and what was measured."""
     delay, channels = mbd.variable(0.0), {}
     for name, response in CHANNELS.items():
         late = delay if name in ACCELEROMETERS else 0.0
-        channels[name] = mbd.Channel(response, deviation=noise * clean[name].std(), delay=late)
+        channels[name] = mbd.identification.Channel(response, deviation=noise * clean[name].std(), delay=late)
     start = build([x * off for x, off in zip(TRUTH.values(), OFF, strict=True)])
-    return mbd.Experiment(start, mbd.TimeSeries(clean, channels), duration=END, steps=STEPS, start="equilibrium")
+    return mbd.identification.Experiment(
+        start, mbd.identification.TimeSeries(clean, channels), duration=END, steps=STEPS, start="equilibrium"
+    )
 
 
-def draws(count: int) -> list[mbd.Identification]:
+def draws(count: int) -> list[mbd.identification.Identification]:
     """Fits of `count` draws of the noise. What the model shows does not depend on them: all fits are lanes of one batch."""
     problem = FitProblem({"arm": experiment(measured())}, list(TRUTH), {"ax.delay": (-0.004, 0.008)})
     scale = variable_scale(problem.start, problem.lower, problem.upper)
@@ -130,7 +132,9 @@ def draws(count: int) -> list[mbd.Identification]:
         return fit_start(residuals, problem.start, settings, index, report)
 
     fits: Any = BatchedSearches(problem, [partial(runner, k) for k in range(count)], max_lanes=count).run()  # type: ignore[arg-type]
-    return [mbd.Identification(problem, settings, fit, [fit], fit.evaluations, fit.failures) for fit in fits]
+    return [
+        mbd.identification.Identification(problem, settings, fit, [fit], fit.evaluations, fit.failures) for fit in fits
+    ]
 
 
 def main(count: int = 100) -> np.ndarray:

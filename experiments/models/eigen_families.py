@@ -6,7 +6,7 @@ The W_k are skew, so Q is orthogonal; S(b) is the identity or a full matrix; Lam
 has a 2 x 2 block whose derivatives do not commute. Everything is a smooth closed form of b, and so are the gauge-free
 quantities that the reduced equations of motion consist of: the projector Psi Psi', the response of the modes to a
 load, and the energy. `python -m experiments.models.eigen_families` prints the relative errors of their derivatives by
-torchmbd.modal_basis and by torch.linalg.eigh.
+torchmbd.reduction.modal_basis and by torch.linalg.eigh.
 """
 
 from __future__ import annotations
@@ -131,7 +131,9 @@ def derivative_errors(
 
 
 def main() -> None:
-    print(f"{'relative error of the derivative of':38s}{'torchmbd.modal_basis':^30s}  {'torch.linalg.eigh':^30s}")
+    print(
+        f"{'relative error of the derivative of':38s}{'torchmbd.reduction.modal_basis':^30s}  {'torch.linalg.eigh':^30s}"
+    )
     names = ("projector", "response", "energy")
     print(" " * 38 + "".join(f"{name:>10s}" for name in names) + "  " + "".join(f"{name:>10s}" for name in names))
     for family in FAMILIES:

@@ -25,7 +25,7 @@ WIDTH, LAYERS, STEPS = 0.15, 3, 800
 RADIUS = 0.4  # least steering radius of the third case [m]
 SMALL = (1e-4, 1e-4, 1e-4)
 ENERGY = mbd.Integral(mbd.StrainEnergy("rod"))
-Laminates = mbd.Laminate | mbd.SteeredLaminate
+Laminates = mbd.Laminate | mbd.fibers.SteeredLaminate
 
 
 def build(laminate: Callable[[mbd.Mesh], Laminates], cells: tuple[int, int]) -> mbd.System:
@@ -67,13 +67,13 @@ def steered(
     """An angle for each control point and layer; radius: least one of the fibers' paths [m], as p-norm."""
     ply, make = mbd.Ply(**CARBON), torch.Generator().manual_seed(0)
 
-    def laminate(mesh: mbd.Mesh) -> mbd.SteeredLaminate:
-        field = mbd.FiberField(mesh, controls, degree=1)
+    def laminate(mesh: mbd.Mesh) -> mbd.fibers.SteeredLaminate:
+        field = mbd.fibers.FiberField(mesh, controls, degree=1)
         start = torch.tensor(angles, dtype=torch.float64).expand(field.controls, LAYERS)
         start = start + 0.03 * torch.randn(start.shape, generator=make, dtype=start.dtype)
-        return mbd.SteeredLaminate(ply, start, THICKNESS / LAYERS, field)
+        return mbd.fibers.SteeredLaminate(ply, start, THICKNESS / LAYERS, field)
 
-    limits = [] if radius is None else [mbd.FiberCurvature("rod", power=50) <= 1.0 / radius]
+    limits = [] if radius is None else [mbd.fibers.FiberCurvature("rod", power=50) <= 1.0 / radius]
     return mbd.Problem(build(laminate, cells), DURATION, ENERGY, limits, bounds=mbd.deg([-180, 180]), steps=STEPS)
 
 

@@ -59,7 +59,7 @@ def degrees_text(x: np.ndarray) -> str:
     return "/".join(f"{a:z.2f}" for a in np.degrees(x))
 
 
-def line(result: mbd.OptimizationResult) -> str:
+def line(result: mbd.optimization.OptimizationResult) -> str:
     """An optimization in a line."""
     first = result.history[0].objective
     return (
@@ -77,7 +77,7 @@ def refined(angles: Sequence[float], steps: int, **model: Any) -> float:
     return float(OBJECTIVE.value(motion.require_ok())[0])
 
 
-def mmfd(steps: int, **model: Any) -> mbd.OptimizationResult:
+def mmfd(steps: int, **model: Any) -> mbd.optimization.OptimizationResult:
     """Print the optimum from the start of Table 7, and the same design refined."""
     result = mbd.optimize(problem(steps, **model), method="mmfd")
     print(line(result), "(paper 95.6 %, 1.06/-47 deg)")
@@ -89,7 +89,9 @@ def mmfd(steps: int, **model: Any) -> mbd.OptimizationResult:
 
 def starts(count: int, steps: int, **model: Any) -> None:
     """Print the distinct minima of Sobol starts, and the peak memory of the process."""
-    study = mbd.multistart(problem(steps, **model), "mmfd", mbd.sobol(count, seed=7, include_initial=True))
+    study = mbd.optimization.multistart(
+        problem(steps, **model), "mmfd", mbd.optimization.sobol(count, seed=7, include_initial=True)
+    )
     for minimum in study.minima:
         print(f"{minimum.value:.6g} J s at {degrees_text(minimum.x)} deg: {minimum.count} starts")
     print(f"{study.converged} of {len(study.results)} starts converged in {study.analyses} analyses")
@@ -98,7 +100,7 @@ def starts(count: int, steps: int, **model: Any) -> None:
 
 def discrete(steps: int, **model: Any) -> None:
     """Print the best design in increments of 5 degrees."""
-    result = mbd.optimize_discrete(problem(steps, **model), float(np.radians(5.0)), "mmfd")
+    result = mbd.optimization.optimize_discrete(problem(steps, **model), float(np.radians(5.0)), "mmfd")
     if result.best is None or result.certificate is None:
         print(f"{result.status}: {result.message}")
         return
@@ -133,7 +135,7 @@ def cost(steps: int, repetitions: int = 3, **model: Any) -> dict[int, float]:
     return ratios
 
 
-def trusses(steps: int, **model: Any) -> mbd.OptimizationResult:
+def trusses(steps: int, **model: Any) -> mbd.optimization.OptimizationResult:
     """Print the optimum by the angles of the panels and of wound trusses, from 55/-55 and 45/-45; 12 modes of vibration."""
     result = mbd.optimize(problem(steps, **(model | TUBES)), method="mmfd")
     print(line(result))

@@ -111,7 +111,7 @@ def main() -> None:
     results = {}
     for name, problem in problems.items():
         began = time.perf_counter()
-        starts = mbd.sobol(arguments.starts, seed=7, include_initial=True)
+        starts = mbd.optimization.sobol(arguments.starts, seed=7, include_initial=True)
         within = Within(problem, arguments.limit)
         results[name] = optimize_discrete(within, float(np.radians(arguments.increment)), "mmfd", starts)
         if not arguments.enumerate:

@@ -38,7 +38,7 @@ def refine_grid(full: mbd.Problem) -> dict:
     began = time.perf_counter()
     coarse = enumerate_all({"": problem(3, START, **COARSE)}, INCREMENT)[""]
     starts = coarse.X[coarse.minima(np.radians(INCREMENT))]
-    study = mbd.multistart(full, "mmfd", list(starts[:REFINED]))
+    study = mbd.optimization.multistart(full, "mmfd", list(starts[:REFINED]))
     return {
         "command": "python -m experiments.paper.minima --grid",
         "coarse": COARSE,
@@ -62,7 +62,7 @@ def print_study(study: MultistartResult, stored: dict | None) -> None:
         print(f"best / best of the grid refined: {study.best.value / stored['best']:.6f} (at most 1.0001)")
 
 
-def simulations_to(value: float, results: Sequence[mbd.OptimizationResult]) -> int | None:
+def simulations_to(value: float, results: Sequence[mbd.optimization.OptimizationResult]) -> int | None:
     """Simulations after which searches in common batches have the first feasible design of `value` at most; None if never."""
     reached = [i.analyses for r in results for i in r.history if i.objective <= value and i.violation <= 1e-6]
     return sum(min(r.analyses, min(reached)) for r in results) if reached else None
@@ -70,7 +70,7 @@ def simulations_to(value: float, results: Sequence[mbd.OptimizationResult]) -> i
 
 def beside_evolution(coarse: mbd.Problem, starts: int, generations: int, population: int) -> list[str]:
     """Multistart with gradients beside differential evolution: ends, and simulations to the best of both within 0.1 %."""
-    study = mbd.multistart(coarse, "mmfd", mbd.sobol(starts, seed=7))
+    study = mbd.optimization.multistart(coarse, "mmfd", mbd.optimization.sobol(starts, seed=7))
     without = mbd.optimize(coarse, "differential_evolution", max_iterations=generations, population=population)
     assert study.best is not None
     target = 1.001 * min(study.best.value, without.value)
@@ -107,7 +107,7 @@ def main() -> None:
         print("\n".join(beside_evolution(coarse, starts=16, generations=150, population=8)))
     else:
         stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else None
-        print_study(mbd.multistart(full, "mmfd", mbd.sobol(arguments.starts, seed=7)), stored)
+        print_study(mbd.optimization.multistart(full, "mmfd", mbd.optimization.sobol(arguments.starts, seed=7)), stored)
 
 
 if __name__ == "__main__":

@@ -66,8 +66,8 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     problem = tradeoff(arguments.layers, **COARSE)
-    starts = mbd.sobol(8, seed=7, include_initial=True)
-    front = mbd.pareto_front(problem, arguments.divisions, "mmfd", starts=starts, everywhere=True)
+    starts = mbd.optimization.sobol(8, seed=7, include_initial=True)
+    front = mbd.optimization.pareto_front(problem, arguments.divisions, "mmfd", starts=starts, everywhere=True)
     print(
         f"{len(front.points)} points, {front.dropped} dropped, {front.failed} not found; {front.analyses} simulations"
     )

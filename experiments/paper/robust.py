@@ -41,12 +41,12 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     problem, d = problem_of("3f", arguments.layers, **COARSE), float(np.radians(arguments.tolerance))
-    nominal = mbd.multistart(problem, "mmfd", mbd.sobol(4, seed=7, include_initial=True)).best
+    nominal = mbd.optimization.multistart(problem, "mmfd", mbd.optimization.sobol(4, seed=7, include_initial=True)).best
     if nominal is None:
         raise SystemExit("no start ended feasible")
     designs = {"nominal optimum": (nominal.x, f"{nominal.value:.7f}")}
     for kind in ("expected", "worst"):
-        robust = mbd.RobustProblem(problem, d, kind)
+        robust = mbd.optimization.RobustProblem(problem, d, kind)
         start = np.append(nominal.x, 2.0)[: robust.start.size]
         if kind == "worst":
             corners = problem.evaluate(nominal.x + robust.shifts, False)

@@ -81,7 +81,7 @@ def energy_and_torsion(folder: Path, **options: Any) -> list[Row]:
 def reduced(
     what: str,
     printed: tuple[float, float, float, str],
-    result: mbd.OptimizationResult,
+    result: mbd.optimization.OptimizationResult,
     note: str = "",
     first: float | None = None,
 ) -> list[Row]:

@@ -37,7 +37,7 @@ def problem(layers: int, angles: Sequence[float], steps: int = 600, **options) -
     )
 
 
-def row(name: str, result: mbd.OptimizationResult, start: float) -> str:
+def row(name: str, result: mbd.optimization.OptimizationResult, start: float) -> str:
     """One line of the table."""
     angles = "/".join(f"{a:.2f}" for a in np.degrees(result.x))
     counts = f"{result.iterations:4d} {result.analyses:5d}  violation {result.violation:.0e}  {result.status}"
@@ -60,7 +60,9 @@ def main() -> None:
             result = mbd.optimize(p, method=method)
             print(row(f"L{layers} {method}", result, first), flush=True)
         if arguments.starts:
-            study = mbd.multistart(p, method="mmfd", starts=mbd.sobol(arguments.starts, seed=7))
+            study = mbd.optimization.multistart(
+                p, method="mmfd", starts=mbd.optimization.sobol(arguments.starts, seed=7)
+            )
             if study.best is not None:
                 print(row(f"L{layers} best of {arguments.starts}", study.best, first), flush=True)
 

@@ -67,7 +67,7 @@ def _outer(x: Tensor, weights: Tensor) -> Tensor:
     return x[:, :, None] * weights[:, None]
 
 
-def line(name: str, result: mbd.OptimizationResult, initial: float) -> str:
+def line(name: str, result: mbd.optimization.OptimizationResult, initial: float) -> str:
     """One line of the table; the extra variable is distinguished from the angles."""
     motion = result.motion
     bounded = result.names[-1] == "bound"
@@ -77,7 +77,7 @@ def line(name: str, result: mbd.OptimizationResult, initial: float) -> str:
     return f"{row(name, angles, initial)}  {beta}between samples {between:+.0e}"
 
 
-def refined(layers: int, start: Sequence[float], x: np.ndarray, **options) -> mbd.OptimizationResult:
+def refined(layers: int, start: Sequence[float], x: np.ndarray, **options) -> mbd.optimization.OptimizationResult:
     """The optimum of the paper's formulation next to a design x [rad]; `options` as in `problem`."""
     p = problem(layers, start, "bound", **options)
     peak = float(mbd.Max(ENERGY).value(p.motion(np.append(x, 1.0)))[0])
@@ -106,7 +106,9 @@ def main() -> None:
                 result = mbd.optimize(p, method=method)
                 print(line(f"L{layers} {formulation} {method}", result, first), flush=True)
             if arguments.starts:
-                study = mbd.multistart(p, method="slsqp", starts=mbd.sobol(arguments.starts, seed=7))
+                study = mbd.optimization.multistart(
+                    p, method="slsqp", starts=mbd.optimization.sobol(arguments.starts, seed=7)
+                )
                 if study.best is not None:
                     best.append(study.best)
                     print(line(f"L{layers} {formulation} best of {arguments.starts}", study.best, first), flush=True)

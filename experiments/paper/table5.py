@@ -103,7 +103,9 @@ def main() -> None:
             for method in arguments.methods.split(","):
                 print(row(f"L{layers} {name} {method}", mbd.optimize(p, method=method), 1.0), flush=True)
             if arguments.starts:
-                study = mbd.multistart(p, method="slsqp", starts=mbd.sobol(arguments.starts, seed=7))
+                study = mbd.optimization.multistart(
+                    p, method="slsqp", starts=mbd.optimization.sobol(arguments.starts, seed=7)
+                )
                 if study.best is not None:
                     print(row(f"L{layers} {name} best of {arguments.starts}", study.best, 1.0), flush=True)
 

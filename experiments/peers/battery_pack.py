@@ -47,7 +47,9 @@ def main() -> None:
     mesh = bulk_body(path).mesh
     kept = corners(mesh.nodes)
     read, before = time.process_time(), resident_mb()
-    body = mbd.read_bdf(path, "pack", modes=MODES, reduction="craig-bampton", interface=kept[1:], reference=[kept[0]])
+    body = mbd.io.read_bdf(
+        path, "pack", modes=MODES, reduction="craig-bampton", interface=kept[1:], reference=[kept[0]]
+    )
     print(f"{DECK.name}: {mesh}; interface nodes {kept}")
     print(f"read: {read - start:.1f} s of CPU")
     seconds, memory = time.process_time() - read, resident_mb() - before

@@ -91,13 +91,15 @@ def strip(section: Any, angle: float, elements: int = ELEMENTS) -> mbd.System:
     return mbd.System([beam], [clamp], [mbd.Force(beam.at("end"), (0, 0, mbd.variable(0.0)), name="weight")])
 
 
-def channel(name: str) -> mbd.Channel:
+def channel(name: str) -> mbd.identification.Channel:
     """A displacement at 500 mm [m], with the sign of the paper."""
     axis, gain, offset = {"u1": ("x", -1.0, AT), "u2": ("y", 1.0, 0.0), "u3": ("z", -1.0, 0.0)}[name]
-    return mbd.Channel(mbd.Position("strip", axis, node=NODE), gain=gain, offset=offset, deviation=DEVIATION)
+    return mbd.identification.Channel(
+        mbd.Position("strip", axis, node=NODE), gain=gain, offset=offset, deviation=DEVIATION
+    )
 
 
-def experiment(section: Any, beam: int, angle: int) -> mbd.Experiment:
+def experiment(section: Any, beam: int, angle: int) -> mbd.identification.Experiment:
     """A beam with u2 and u3 that were measured, those that symmetry makes zero left out."""
     curves = {name: MEASURED[beam, angle, name] for name in FITTED if any(MEASURED[beam, angle, name][1])}
     weights = sorted({x for grams, _ in curves.values() for x in grams})
@@ -106,20 +108,22 @@ def experiment(section: Any, beam: int, angle: int) -> mbd.Experiment:
         by_weight = dict(zip(grams, values, strict=True))
         table[name] = [1e-3 * by_weight.get(x, math.nan) for x in weights]
     channels = {name: channel(name) for name in curves}
-    return mbd.Experiment(strip(section, angle), mbd.StaticCurve(table, {"weight.z": "load"}, channels))
+    return mbd.identification.Experiment(
+        strip(section, angle), mbd.identification.StaticCurve(table, {"weight.z": "load"}, channels)
+    )
 
 
-def fit() -> mbd.Identification:
+def fit() -> mbd.identification.Identification:
     """E1, E2, G12 by u2 and u3 of beams 1 and 2; beam 3 is held out."""
     cases = {
         beam: {f"{beam}, {angle} deg": experiment(laminated(beam, MODULI), beam, angle) for angle in (0, 45)}
         for beam in LAYUPS
     }
     unknowns = [f"strip.section.ply.{name}" for name in MODULI]
-    return mbd.identify({**cases[1], **cases[2]}, unknowns, validation=cases[HELD_OUT])
+    return mbd.identification.identify({**cases[1], **cases[2]}, unknowns, validation=cases[HELD_OUT])
 
 
-def moduli_of(result: mbd.Identification) -> dict[str, float]:
+def moduli_of(result: mbd.identification.Identification) -> dict[str, float]:
     """E1, E2, G12 of a fit [Pa]."""
     return {name: result[f"strip.section.ply.{name}"] for name in MODULI}
 

@@ -79,7 +79,7 @@ def beams(models: Path, angles: list[float] | None = None, stiffening: bool = Tr
             stiffening=stiffening,
         )
     path = models / "three_dof" / "zero_segments" / "flexible_arm_3dof_0s.urdf"
-    return mbd.read_urdf(path, flexible=flexible, positions=POSITIONS, drives=drives())
+    return mbd.io.read_urdf(path, flexible=flexible, positions=POSITIONS, drives=drives())
 
 
 def tip(motion: mbd.Trajectory) -> Tensor:

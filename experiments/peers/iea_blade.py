@@ -41,7 +41,7 @@ def folder() -> Path | None:
 
 def beamdyn(root: Path) -> mbd.SectionTable:
     """BeamDyn's sections."""
-    return mbd.read_beamdyn(root / OPENFAST / "IEA-15-240-RWT_BeamDyn_blade.dat")
+    return mbd.io.read_beamdyn(root / OPENFAST / "IEA-15-240-RWT_BeamDyn_blade.dat")
 
 
 def key_points(root: Path) -> np.ndarray:
@@ -75,7 +75,7 @@ def bending(K: Tensor) -> tuple[float, float]:
 
 def sections(root: Path) -> None:
     """Print stiffness and mass along the span beside the tables."""
-    blade, table = mbd.read_windio(root / BLADE), beamdyn(root)
+    blade, table = mbd.io.read_windio(root / BLADE), beamdyn(root)
     print("ours / BeamDyn - 1 [%]                                                            ours / ElastoDyn - 1 [%]")
     print(f"{'span':>5}{'E A':>8}{'G A_y':>8}{'G A_z':>8}{'G J':>8}{'edge':>8}{'flap':>8}{'mass':>8}{'J':>8}", end="")
     print(f"{'mass':>12}{'flap':>8}{'edge':>8}")
@@ -125,7 +125,7 @@ def mass(table: mbd.SectionTable, length: float = 117.0) -> float:
 
 def frequencies(root: Path) -> None:
     """Print the first frequencies at rest and at rated speed."""
-    blade = mbd.read_windio(root / BLADE)
+    blade = mbd.io.read_windio(root / BLADE)
     sections = mbd.SectionTable(list(SPAN), [blade.section(position) for position in SPAN])
     print(f"{'[Hz]':28}{'flap 1':>9}{'edge 1':>9}{'flap 2':>9}{'edge 2':>9}{'flap 3':>9}{'mass [kg]':>12}")
     print(f"{'published, at rest':28}" + "".join(f"{x:9.3f}" for x in PUBLISHED) + f"{'':27}{PUBLISHED_MASS:12.0f}")

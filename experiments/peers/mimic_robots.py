@@ -144,7 +144,7 @@ def compared(path: Path, seed: int = 1) -> Comparison:
         "positions": dict(zip(theirs.leaders, s.tolist(), strict=True)),
         "velocities": dict(zip(theirs.leaders, rate.tolist(), strict=True)),
     }
-    whole = mbd.read_urdf(path, stop_stiffness=None, gravity=(0.0, 0.0, -9.81), **settings)
+    whole = mbd.io.read_urdf(path, stop_stiffness=None, gravity=(0.0, 0.0, -9.81), **settings)
     forces = [force for force in whole.forces if not force.name.endswith("_friction")]
     system = mbd.System(list(whole.bodies), list(whole.joints), forces, gravity=(0.0, 0.0, -9.81))
     motion = mbd.simulate(system, STEP, steps=1, gradients="none", backend="eager")

@@ -3,7 +3,7 @@
     unknown    the masses of both links and the damping of both hinges, from 30 % off
     data       both angles, 3 s at 100 Hz, of MuJoCo's motion with steps of 0.1 ms, with noise of 1 mrad
     MuJoCo     steps of 1 ms, Jacobians by forward differences of scipy.optimize.least_squares, as its `sysid` makes them
-    torchmbd   mbd.identify, 600 steps
+    torchmbd   mbd.identification.identify, 600 steps
 
 Both searches are SciPy's "trf" with tolerances of 1e-5. Chosen, no publication. Needs the package `mujoco`.
 """
@@ -91,13 +91,15 @@ def main() -> None:
     ending = least_squares(residuals, np.ones(4), bounds=(0.0, np.inf), ftol=1e-5, xtol=1e-5, gtol=1e-5)
     _say("MuJoCo, differences", count, time.perf_counter() - begin, ending.x * TRUTH * OFF)
     responses = {"first": mbd.Angle("link1", "y"), "second": mbd.Angle("link2", "y", seen_from="link1")}
-    channels = {name: mbd.Channel(response, deviation=NOISE) for name, response in responses.items()}
+    channels = {name: mbd.identification.Channel(response, deviation=NOISE) for name, response in responses.items()}
     data = {"t": TIMES, "first": shown[0], "second": shown[1]}
-    experiment = mbd.Experiment(build(TRUTH * OFF), mbd.TimeSeries(data, channels), steps=600)
+    experiment = mbd.identification.Experiment(
+        build(TRUTH * OFF), mbd.identification.TimeSeries(data, channels), steps=600
+    )
     unknowns = ["link1.mass", "link2.mass", "damper1.damping", "damper2.damping"]
-    mbd.identify(experiment, unknowns, max_evaluations=1)  # compiles
+    mbd.identification.identify(experiment, unknowns, max_evaluations=1)  # compiles
     begin = time.perf_counter()
-    fit = mbd.identify(experiment, unknowns)
+    fit = mbd.identification.identify(experiment, unknowns)
     _say("torchmbd, exact Jacobians", fit.evaluations, time.perf_counter() - begin, fit.x)
     print(f"deviations of the unknowns by torchmbd [%]: {(100.0 * fit.deviation / fit.x).round(2).tolist()}")
 

@@ -7,7 +7,7 @@
 Positions within the limits, velocities and controls are drawn; compared are the accelerations of all bodies, of their origins
 and of their angular velocities.
 
-MuJoCo runs without what mbd.read_mjcf leaves out and says so: armature, contact, tendons, actuators that are not on
+MuJoCo runs without what mbd.io.read_mjcf leaves out and says so: armature, contact, tendons, actuators that are not on
 joints, limits of their sum, forces of a fluid; and without limits, dry friction and equality, which are constraints of its
 own kind there. Shapes that are meshes are taken away: their files may lack, and bodies have their inertia without them.
 Needs the package `mujoco`. Checked in tests/experiments/test_mujoco_models.py.
@@ -96,7 +96,7 @@ def compared(path: Path, seed: int = 1) -> Compared:
         data.ctrl[k] = controls.get(theirs.actuator(k).name, 0.0)
     locked = [joint.name for joint in joints if joint.mimics]
     settings: Any = {"positions": places, "velocities": rates, "controls": controls, "locked": locked}
-    system = mbd.read_mjcf(path, stop_stiffness=None, **settings)
+    system = mbd.io.read_mjcf(path, stop_stiffness=None, **settings)
     closures = {identifier(closure.name) for closure in robot.closures}
     free = [identifier(joint.child) for joint in robot.joints if joint.kind == "floating"]
     system = mbd.System(

@@ -1,4 +1,4 @@
-"""Accelerations of a tree of rigid links by the recursion of Newton and Euler, from a URDF file: what mbd.read_urdf is
+"""Accelerations of a tree of rigid links by the recursion of Newton and Euler, from a URDF file: what mbd.io.read_urdf is
 compared with. It shares no code with torchmbd, not the reading of the file either.
 
 Outwards along the tree angular velocity w, its rate dw and acceleration dv of each link's origin, all in the axes of the link;
@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-FRICTION_SPEED = 0.01  # [rad/s, m/s], as mbd.read_urdf has it
+FRICTION_SPEED = 0.01  # [rad/s, m/s], as mbd.io.read_urdf has it
 
 
 @dataclass

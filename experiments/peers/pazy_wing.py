@@ -125,12 +125,12 @@ def height(behind: float) -> mbd.Position:
     return mbd.Position(f"wing_{len(TORSION)}", "z", point=(0, LINE - behind, 0))
 
 
-def statics() -> dict[str, mbd.Experiment]:
+def statics() -> dict[str, mbd.identification.Experiment]:
     """Both curves; displacements are those since the wing hung by itself, which is an unknown offset."""
 
-    def channel(response: Any, count: int) -> mbd.Channel:
+    def channel(response: Any, count: int) -> mbd.identification.Channel:
         deviation = np.array([ZERO, *[DEVIATION] * (count - 1)])
-        return mbd.Channel(response, offset=mbd.variable(0.0), deviation=deviation)
+        return mbd.identification.Channel(response, offset=mbd.variable(0.0), deviation=deviation)
 
     middle = height(0.5 * CHORD)
     sine = (height(0.0) - height(CHORD)) * (1.0 / CHORD)  # of the twist, as the source has it from both edges
@@ -144,26 +144,30 @@ def statics() -> dict[str, mbd.Experiment]:
         if twist:
             table["sine"], channels["sine"] = np.sin(np.deg2rad(twist[0])), channel(sine, len(masses))
         system = wing(mbd.variable(1e3), weight=mbd.variable(0.5), behind=behind)
-        result[name] = mbd.Experiment(system, mbd.StaticCurve(table, {"weight.mass": "mass"}, channels))
+        result[name] = mbd.identification.Experiment(
+            system, mbd.identification.StaticCurve(table, {"weight.mass": "mass"}, channels)
+        )
     return result
 
 
-def ground_test(flap: Any, lag: Any = RIGID) -> mbd.Experiment:
+def ground_test(flap: Any, lag: Any = RIGID) -> mbd.identification.Experiment:
     """The measured frequencies, of the wing upright."""
-    return mbd.Experiment(wing(flap, lag, gravity=0.0), mbd.ModalData(GROUND_TEST, modes=ORDER))
+    return mbd.identification.Experiment(
+        wing(flap, lag, gravity=0.0), mbd.identification.ModalData(GROUND_TEST, modes=ORDER)
+    )
 
 
-def fit() -> mbd.Identification:
+def fit() -> mbd.identification.Identification:
     """The stiffness of the root by both curves; the frequencies are held out."""
     held_out = {"ground test": ground_test(mbd.variable(1e3))}
-    return mbd.identify(statics(), ["clamp.turning_stiffness_y"], validation=held_out)
+    return mbd.identification.identify(statics(), ["clamp.turning_stiffness_y"], validation=held_out)
 
 
-def fit_in_the_plane() -> mbd.Identification:
+def fit_in_the_plane() -> mbd.identification.Identification:
     """The stiffness of the root in the plane by its frequency."""
-    data = mbd.ModalData(GROUND_TEST[3:4], modes=[4])
-    experiment = mbd.Experiment(wing(RIGID, mbd.variable(1e4), gravity=0.0), data)
-    return mbd.identify(experiment, ["clamp.turning_stiffness_z"])
+    data = mbd.identification.ModalData(GROUND_TEST[3:4], modes=[4])
+    experiment = mbd.identification.Experiment(wing(RIGID, mbd.variable(1e4), gravity=0.0), data)
+    return mbd.identification.identify(experiment, ["clamp.turning_stiffness_z"])
 
 
 def frequencies(flap: float = RIGID, lag: float = RIGID) -> np.ndarray:
@@ -188,8 +192,8 @@ def deck_frequencies(folder: Path) -> np.ndarray:
     """The lowest six of the deck as it is [Hz]."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a material of its rods has hardly any mass
-        body = mbd.read_bdf(folder / "sol103_noskin.dat", "wing", modes=6)
-    return mbd.frequencies(body, None, len(PRINTED)).frequencies.detach().numpy()
+        body = mbd.io.read_bdf(folder / "sol103_noskin.dat", "wing", modes=6)
+    return mbd.natural_frequencies(body, None, len(PRINTED)).frequencies.detach().numpy()
 
 
 def compare(title: str, reference: Any, model: Any) -> None:

@@ -66,7 +66,7 @@ def compared(path: Path, seed: int = 1) -> Compared:
     locked = [joint.name for joint in urdf_robot(path).joints if joint.mimics]
     tree = Tree(path, locked)
     q, rate = draw(tree, seed)
-    system = mbd.read_urdf(path, positions=q, velocities=rate, locked=locked)
+    system = mbd.io.read_urdf(path, positions=q, velocities=rate, locked=locked)
     motion = mbd.simulate(system, STEP, steps=1, gradients="none", backend="eager")
     expected, links = tree.accelerations(q, rate)
     by_name = {"".join(c if c.isalnum() else "_" for c in name): x for name, x in links.items()}

@@ -49,13 +49,13 @@ def quiet_section(path: Path, position: float) -> tuple[Tensor, Tensor]:
     """Stiffness and mass of a blade's section; its warnings are of places without room, equal in both versions."""
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")
-        section = mbd.read_windio(path).section(position)
+        section = mbd.io.read_windio(path).section(position)
         return section.stiffness(), section.mass()
 
 
 def axis(path: Path, elements: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """Nodes [n, 3] (z along the blade, x to the suction side) and twist [n] along the span."""
-    blade = mbd.read_windio(path)
+    blade = mbd.io.read_windio(path)
     stations = [blade.station(float(s)) for s in np.linspace(0.0, 1.0, elements + 1)]
     return np.array([[at[k] for k in "xyz"] for at in stations]), np.array([at["twist"] for at in stations])
 
@@ -115,7 +115,7 @@ def apart(table: mbd.SectionTable, other: mbd.SectionTable) -> tuple[float, floa
 
 def compared(turbine: str, first: Path, second: Path, path: Path) -> None:
     """Print sections, mass and frequencies."""
-    beamdyn, elastic = mbd.read_beamdyn(path), elastic_properties(second)
+    beamdyn, elastic = mbd.io.read_beamdyn(path), elastic_properties(second)
     print(f"{NAMES[turbine]}: version 2 / version 1 - 1 [1e-4]{'':32}version 2 / its elastic_properties - 1 [%]")
     print(f"{'span':>5}{'E A':>8}{'G A_y':>8}{'G A_z':>8}{'G J':>8}{'edge':>8}{'flap':>8}{'mass':>8}", end="   ")
     print(f"{'E A':>8}{'G A_y':>8}{'G A_z':>8}{'G J':>8}{'edge':>8}{'flap':>8}{'mass':>8}")

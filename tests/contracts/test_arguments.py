@@ -34,8 +34,8 @@ CASES = [
     *((lambda x=x: mbd.SectionHistory(x, "rod"), "motion") for x in NUMBERS),
     *((lambda x=x: mbd.DesignSpace(x), "system") for x in NUMBERS),
     *((lambda x=x: build().with_joints([x]), "joints") for x in NUMBERS),
-    *((lambda x=x: mbd.RobustProblem(BOX, 0.1, x), "kind") for x in NUMBERS),
-    *((lambda x=x: mbd.RobustProblem(BOX, x), "tolerance") for x in NUMBERS[2:]),
+    *((lambda x=x: mbd.optimization.RobustProblem(BOX, 0.1, x), "kind") for x in NUMBERS),
+    *((lambda x=x: mbd.optimization.RobustProblem(BOX, x), "tolerance") for x in NUMBERS[2:]),
     *((lambda x=x: mbd.optimize(BOX, x), "method") for x in NUMBERS),
     *((lambda x=x: mbd.Laminate(x, mbd.deg([0.0]), 1e-3), "ply") for x in NUMBERS[5:]),
     *((lambda x=x: ENERGY.value_and_gradient(x), "motion") for x in NUMBERS),
@@ -57,4 +57,4 @@ def test_it_is_refused_with_the_path_of_the_argument(call, argument):
 
 def test_a_grid_of_too_many_values_is_refused_with_their_number():
     with refused("allowed.x"):
-        mbd.optimize_discrete(BOX, 1e-9)
+        mbd.optimization.optimize_discrete(BOX, 1e-9)

@@ -105,17 +105,17 @@ CASES: dict[str, tuple[Callable[..., Any], Mapping[str, Any], Mapping[str, Any]]
         {},
     ),
 }
-if "FiberField" in mbd.__all__:  # the extensions fibers and lamination are there
+if "fibers" in mbd.__all__:  # the extensions fibers and lamination are there
     CASES |= {
         "LaminationParameters": (
-            mbd.LaminationParameters,
+            mbd.lamination.LaminationParameters,
             {"thickness": 1e-3, "shear_correction": 0.8},
             {"ply": PLY, "thickness": 1e-3, "membrane": [0.0] * 4},
         ),
-        "FiberField": (mbd.FiberField, {"radius": 0.3}, {"mesh": MESH, "controls": [[0.0, 0.0, 0.0]]}),
+        "FiberField": (mbd.fibers.FiberField, {"radius": 0.3}, {"mesh": MESH, "controls": [[0.0, 0.0, 0.0]]}),
     }
-if "SNCurve" in mbd.__all__:  # the extension fatigue is there
-    CASES["SNCurve"] = mbd.SNCurve, {"tension": 5e8}, {"points": [(1e3, 4e8), (1e6, 2e8)]}
+if "fatigue" in mbd.__all__:  # the extension fatigue is there
+    CASES["SNCurve"] = mbd.fatigue.SNCurve, {"tension": 5e8}, {"points": [(1e3, 4e8), (1e6, 2e8)]}
 
 
 def holds(x: Any, wanted: nn.Parameter, seen: set[int]) -> bool:

@@ -86,7 +86,7 @@ def stiffened(folder: Path) -> list[Tensor]:
 
 def pairs(folder: Path) -> list[Tensor]:
     K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64)
-    result = mbd.eigenpairs(K, torch.ones(3, dtype=torch.float64), 2)
+    result = mbd.reduction.eigenpairs(K, torch.ones(3, dtype=torch.float64), 2)
     rigid = mbd.RigidBody("box", 1.3, (0.1, 0.2, 0.3), position=(0.1, 0.2, 0.7))
     return [*result, rigid.position, rigid.invariants()["P0"], laminate().entries()]
 

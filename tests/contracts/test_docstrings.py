@@ -5,15 +5,17 @@ from __future__ import annotations
 import ast
 import inspect
 import re
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 import torchmbd as mbd
+from torchmbd.api import all_names
 from torchmbd.design import History, Measure
 
-NAMES = [name for name in mbd.__all__ if not isinstance(getattr(mbd, name), ModuleType)]
+NAMES = [name for name in all_names() if not isinstance(attrgetter(name)(mbd), ModuleType)]
 
 
 def text_of(thing: object) -> str:
@@ -31,7 +33,7 @@ def text_of(thing: object) -> str:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_argument_is_described(name):
-    thing = getattr(mbd, name)
+    thing = attrgetter(name)(mbd)
     assert text_of(thing).strip()
     if inspect.isclass(thing) and issubclass(thing, Exception):
         return
@@ -41,7 +43,7 @@ def test_every_argument_is_described(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_methods_are_described(name):
-    thing = getattr(mbd, name)
+    thing = attrgetter(name)(mbd)
     if not inspect.isclass(thing):
         return
     for key, method in vars(thing).items():
@@ -65,11 +67,13 @@ def is_reference(part: ast.FunctionDef | ast.ClassDef) -> bool:
     return re.match(r"As (of|in|for) ", ast.get_docstring(part) or "") is not None
 
 
-RESPONSES = [name for name in NAMES if inspect.isclass(x := getattr(mbd, name)) and issubclass(x, (History, Measure))]
+RESPONSES = [
+    name for name in NAMES if inspect.isclass(x := attrgetter(name)(mbd)) and issubclass(x, (History, Measure))
+]
 
 
 @pytest.mark.parametrize("name", RESPONSES)
 def test_responses_tell_their_shape_and_unit(name):
-    doc = getattr(mbd, name).__doc__
+    doc = attrgetter(name)(mbd).__doc__
     assert re.search(r"\[lanes(, \w+)?\]", doc)
     assert re.search(r"\[(m|1/m|s|m/s|rad/s|1/s|m/s2|J|N|Pa|Hz|kg|rad|-)\]|\bunits?\b", doc)

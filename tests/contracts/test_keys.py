@@ -190,8 +190,8 @@ def swing(kind: Callable[..., Any] = mbd.Problem, **changes: Any) -> Any:
 #: Kind of problem -> the problem, and options of its study.
 KINDS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
     "plain": (swing, {}),
-    "expected": (lambda: mbd.RobustProblem(swing(), 50.0), {}),
-    "worst": (lambda: mbd.RobustProblem(swing(), 50.0, "worst"), {}),
+    "expected": (lambda: mbd.optimization.RobustProblem(swing(), 50.0), {}),
+    "worst": (lambda: mbd.optimization.RobustProblem(swing(), 50.0, "worst"), {}),
     "scenarios": (partial(swing, mbd.Scenarios, variables=[GJ], scenarios=[{"system": bar()}, {}]), {}),
     "min-max": (partial(swing, minimize=mbd.AtTimes(LAG, count=5), bound=(1.0, 100.0)), {}),
     "aggregate": (partial(swing, subject_to=mbd.Aggregate([mbd.AtTimes(LAG, count=5), mbd.Max(LAG)]) <= 1.0), {}),
@@ -232,9 +232,12 @@ def test_the_use_of_a_problem_leaves_its_keys(kind, tmp_path):
     if hasattr(simulated, "errors"):
         use("errors of responses", lambda: simulated.errors(simulated.start))
     if kind == "tradeoff":
-        use("front", lambda: mbd.pareto_front(one, divisions=2, max_iterations=1))
+        use("front", lambda: mbd.optimization.pareto_front(one, divisions=2, max_iterations=1))
     elif kind == "discrete":
-        use("discrete", lambda: mbd.optimize_discrete(one, [np.arange(100.0, 3000.0, 100.0)], max_iterations=1))
+        use(
+            "discrete",
+            lambda: mbd.optimization.optimize_discrete(one, [np.arange(100.0, 3000.0, 100.0)], max_iterations=1),
+        )
     else:
         result = use("search", lambda: mbd.optimize(one, max_iterations=1, progress=False))
         if kind != "differences":

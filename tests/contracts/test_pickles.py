@@ -75,7 +75,7 @@ def problems(system: mbd.System) -> list[Any]:
     return [
         problem,
         mbd.Differences(problem),
-        mbd.RobustProblem(problem, 0.02),
+        mbd.optimization.RobustProblem(problem, 0.02),
         mbd.Tradeoff(system, minimize=two, **GIVEN),
     ]
 
@@ -92,9 +92,9 @@ def test_problems(system, again, k):
 
 def test_results_and_starts(system, again):
     problem = problems(system)[0]
-    for starts in (mbd.sobol(2, seed=3), mbd.latin_hypercube(2, seed=3)):
+    for starts in (mbd.optimization.sobol(2, seed=3), mbd.optimization.latin_hypercube(2, seed=3)):
         assert np.array_equal(again(starts).points(problem), starts.points(problem))
-    study = mbd.multistart(problem, "slsqp", mbd.sobol(2, seed=3), max_iterations=1)
+    study = mbd.optimization.multistart(problem, "slsqp", mbd.optimization.sobol(2, seed=3), max_iterations=1)
     result = again(study)
     assert [r.value for r in result.results] == [r.value for r in study.results]
     assert torch.equal(result.results[0].motion.q, study.results[0].motion.q)

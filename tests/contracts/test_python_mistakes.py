@@ -5,6 +5,7 @@ A row: the call, the argument and its value as the message writes them, and what
 
 from __future__ import annotations
 
+from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ import torch
 import torchmbd as mbd
 from tests.refused import refused, warned
 from tests.study.rod_model import build
+from torchmbd.api import all_names
 from torchmbd.errors import InputError, keyword_hints, true_or_false
 
 NUMBERS: dict[str, Any] = {
@@ -178,25 +180,37 @@ MISTAKES = {
     "strict limit": (lambda: any_.Max(ENERGY) < 0.1, "< 0.1", "<=, >="),
     "strict lower limit": (lambda: any_.Max(ENERGY) > 0.1, "> 0.1", "<=, >="),
     "optimizer": (lambda: mbd.optimize(BOX, "mmdf"), "method 'mmdf'", "did you mean 'mmfd'"),
-    "start of a search": (lambda: mbd.multistart(BOX, start=2), "start = 2", "did you mean 'starts'"),
+    "start of a search": (lambda: mbd.optimization.multistart(BOX, start=2), "start = 2", "did you mean 'starts'"),
     "its option": (lambda: mbd.optimize(BOX, "mmfd", kktt=1e-3), "'kktt'", "did you mean 'kkt'"),
     "max_iteration": (lambda: mbd.optimize(BOX, max_iteration=3), "max_iteration = 3", "did you mean 'max_iterations'"),
     "max_iterations": (lambda: mbd.optimize(BOX, max_iterations=-1), "max_iterations = -1", "[0, 1e+06]"),
     "outside": (lambda: any_.optimize(BOX, start=[5.0]), "start of x = 5", "must lie between -1 and 1"),
     "problem": (lambda: any_.optimize(3), "problem is 3", "mbd.Problem(...)"),
-    "sampler": (lambda: any_.multistart(BOX, "mmfd", "sobel"), "starts is 'sobel'", "mbd.sobol(...)"),
+    "sampler": (
+        lambda: any_.optimization.multistart(BOX, "mmfd", "sobel"),
+        "starts is 'sobel'",
+        "mbd.optimization.sobol(...)",
+    ),
     "device": (lambda: simulate(device="cuda"), "device = 'cuda'", "torchmbd computes on the CPU alone"),
     "device of a problem": (lambda: problem(device="cuda"), "device = 'cuda'", "torchmbd computes on the CPU alone"),
     "device of a search": (lambda: mbd.optimize(BOX, device="cuda"), "'device'", "torchmbd computes on the CPU alone"),
-    "tolerance": (lambda: mbd.RobustProblem(BOX, -0.1), "tolerance is -0.1", "not negative"),
-    "robust": (lambda: mbd.RobustProblem(BOX, 0.1, "expect"), "kind 'expect'", "did you mean 'expected'"),
+    "tolerance": (lambda: mbd.optimization.RobustProblem(BOX, -0.1), "tolerance is -0.1", "not negative"),
+    "robust": (lambda: mbd.optimization.RobustProblem(BOX, 0.1, "expect"), "kind 'expect'", "did you mean 'expected'"),
     # switches
     "symmetric": (lambda: any_.Laminate(PLY, [0.0], 1e-3, symmetric="no"), "symmetric is 'no'", "True or False"),
     "rigid": (lambda: any_.Interface([0], rigid=1), "rigid is 1", "True or False"),
     "scaling": (lambda: any_.optimize(BOX, scaling=None), "scaling is None", "True or False"),
-    "eager": (lambda: any_.multistart(BOX, eager_gradients="no"), "eager_gradients is 'no'", "True or False"),
+    "eager": (
+        lambda: any_.optimization.multistart(BOX, eager_gradients="no"),
+        "eager_gradients is 'no'",
+        "True or False",
+    ),
     "second order": (lambda: any_.optimize(BOX, "mmfd", second_order="no"), "second_order is 'no'", "True or False"),
-    "initial": (lambda: any_.sobol(2, 1, include_initial="no"), "include_initial is 'no'", "True or False"),
+    "initial": (
+        lambda: any_.optimization.sobol(2, 1, include_initial="no"),
+        "include_initial is 'no'",
+        "True or False",
+    ),
     "progress": (lambda: simulate(progress="no"), "progress is 'no'", "True or False"),
     "follow": (lambda: any_.equilibrium(SYSTEM, follow="no"), "follow is 'no'", "True or False"),
     "unstable": (lambda: any_.equilibrium(SYSTEM, unstable=2), "unstable is 2", "True or False"),
@@ -222,7 +236,6 @@ def test_argument_value_and_what_is_allowed_are_named(name):
 
 # Classes that users are given, or derive from.
 RESULTS = [
-    "Buckling",
     "BeamState",
     "Chain",
     "Constraint",
@@ -248,8 +261,9 @@ RESULTS = [
 
 def public_calls() -> dict[str, Any]:
     """All functions and classes with public names, but those of RESULTS, named tuples and errors."""
-    modules = {"": mbd, "sections.": mbd.sections, "mesh.": mbd.mesh, "forces.": mbd.forces, "viz.": mbd.viz}
+    modules = {"sections.": mbd.sections, "mesh.": mbd.mesh, "forces.": mbd.forces, "viz.": mbd.viz}
     names = {f"{prefix}{name}": getattr(module, name) for prefix, module in modules.items() for name in module.__all__}
+    names |= {name: attrgetter(name)(mbd) for name in all_names()}
     calls = {name: x for name, x in names.items() if callable(x) and x.__name__ not in RESULTS}
     return {name: x for name, x in calls.items() if not (isinstance(x, type) and issubclass(x, (Exception, tuple)))}
 

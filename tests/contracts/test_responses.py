@@ -30,12 +30,12 @@ from torchmbd.design.measures import (
     RMS,
     AtTime,
     Final,
-    Frequencies,
     Frequency,
     Integral,
     Mass,
     Max,
     Mean,
+    MeanFrequency,
     Min,
     SmoothMax,
 )
@@ -116,10 +116,10 @@ MEASURES: dict[str, list[Measure]] = {
     "at_times": [AtTimes(ENERGY, count=7), AtTimes(LAG, times=(0.0101, 0.02, 0.04))],
     "at_peaks": [AtPeaks(ENERGY, count=3), AtPeaks(LAG, window=(0.0051, 0.0303), count=2)],
     "frequency": [Frequency("rod"), Frequency("rod", 2), Frequency("rod", 1, {"left_edge": "all", "right_edge": "u3"})],
-    "frequencies": [
-        Frequencies("rod", (1, 2)),
-        Frequencies("rod", (2,), power=-3.0),
-        Frequencies("rod", (1, 3), supports={}),
+    "mean_frequency": [
+        MeanFrequency("rod", (1, 2)),
+        MeanFrequency("rod", (2,), power=-3.0),
+        MeanFrequency("rod", (1, 3), supports={}),
     ],
     "mass": [Mass("rod"), Mass()],
 }
@@ -132,25 +132,25 @@ OTHERS = [
     WeightedSum([(0.6, Integral(ENERGY)), (0.4, RMS(LAG))], normalize=(1e-6, 1e-4)),
 ]
 if "buckling" in mbd.__all__:  # the extension is there
-    HISTORIES["buckling_index"] = [mbd.BucklingIndex("rod")]
+    HISTORIES["buckling_index"] = [mbd.buckling.BucklingIndex("rod")]
     MEASURES["buckling_factor"] = [
-        mbd.BucklingFactor("rod", {"right": (-1.0, 0.2, 0.0)}, number=2),
-        mbd.BucklingFactor("rod"),
-        mbd.BucklingFactor("rod", {}, {"left": "all", "right": (-1e-4, None, 0.0, None, None, None)}),
+        mbd.buckling.BucklingFactor("rod", {"right": (-1.0, 0.2, 0.0)}, number=2),
+        mbd.buckling.BucklingFactor("rod"),
+        mbd.buckling.BucklingFactor("rod", {}, {"left": "all", "right": (-1e-4, None, 0.0, None, None, None)}),
     ]
-if "SNCurve" in mbd.__all__:  # the extension fatigue is there
-    CURVE = mbd.SNCurve([(1e2, 2e4), (1e4, 8e3), (1e7, 1e3)], tension=4e4, compression=2.5e5)
+if "fatigue" in mbd.__all__:  # the extension fatigue is there
+    CURVE = mbd.fatigue.SNCurve([(1e2, 2e4), (1e4, 8e3), (1e7, 1e3)], tension=4e4, compression=2.5e5)
     MEASURES |= {
         "equivalent_load": [
-            mbd.EquivalentLoad(LAG, exponent=4.0),
-            mbd.EquivalentLoad(ENERGY, (0.0051, 0.0303), 3.0, 2.0),
+            mbd.fatigue.EquivalentLoad(LAG, exponent=4.0),
+            mbd.fatigue.EquivalentLoad(ENERGY, (0.0051, 0.0303), 3.0, 2.0),
         ],
         "fatigue_damage": [
-            mbd.FatigueDamage("rod", {"22": 3}),
-            mbd.FatigueDamage("rod", curves={"22": CURVE}, repeats=1e3),
+            mbd.fatigue.FatigueDamage("rod", {"22": 3}),
+            mbd.fatigue.FatigueDamage("rod", curves={"22": CURVE}, repeats=1e3),
         ],
     }
-    OTHERS.append(mbd.Damage(PlyStress("rod", "11", layer=1), curve=CURVE))
+    OTHERS.append(mbd.fatigue.Damage(PlyStress("rod", "11", layer=1), curve=CURVE))
 
 
 def strong_pendulum() -> mbd.System:
@@ -318,7 +318,7 @@ def failed(native) -> Trajectory:
 @pytest.mark.parametrize("response", [*cases(HISTORIES), *cases(MEASURES), *OTHERS])
 def test_a_lane_that_failed_has_no_number(response, failed):
     """Of its motion; the mass, the frequencies and what loads buckle belong to the design."""
-    expected = {"Mass", "Frequency", "Frequencies"} | (
+    expected = {"Mass", "Frequency", "MeanFrequency"} | (
         {"BucklingFactor"} if getattr(response, "loads", None) is not None else set()
     )
     made = response if isinstance(response, Measure) else mbd.Final(response)

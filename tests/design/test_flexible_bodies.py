@@ -24,7 +24,7 @@ def test_bodies_of_a_result_have_its_design():
     """As for the study of mbd.load: a problem and a design [n], which may have the variable of a min-max problem behind."""
     model = problem()
     before = model.system.body("arm").laminate.angles.detach().clone()
-    for wrapped in (model, mbd.RobustProblem(model, 0.01, "worst")):
+    for wrapped in (model, mbd.optimization.RobustProblem(model, 0.01, "worst")):
         result: Any = SimpleNamespace(problem=wrapped, x=np.array([0.1, 0.2, 1.0])[: len(wrapped.names)])
         arm: Any = flexible_bodies("design", result)[0]
         assert arm.laminate.angles.tolist() == [0.1, 0.2]

@@ -60,7 +60,7 @@ def test_a_frequency_of_a_pair_has_the_mean_of_both_slopes(motions):
 def test_the_power_mean_of_a_pair_has_a_gradient(motions, power):
     exact, neighbors = motions
     low = pair(exact)
-    measure = mbd.Frequencies("sheet", (low, low + 1), power)
+    measure = mbd.MeanFrequency("sheet", (low, low + 1), power)
     value, gradient = measure.value_and_gradient(exact)
     assert float(value[0]) == pytest.approx(float(mbd.Frequency("sheet", low).value(exact)[0]))
     torch.testing.assert_close(gradient[0], differences(measure, neighbors), rtol=1e-5, atol=1e-2)
@@ -72,7 +72,7 @@ def test_the_power_mean_lies_between_lowest_and_highest(motions):
     for power in (-200.0, -1.0, 1.0, 200.0):
         squares = (each / each.amin()) ** (2 * power)
         expected = each.amin() * squares.mean(0) ** (1 / (2 * power))
-        torch.testing.assert_close(mbd.Frequencies("sheet", (1, 4, 6), power).value(exact), expected)
+        torch.testing.assert_close(mbd.MeanFrequency("sheet", (1, 4, 6), power).value(exact), expected)
 
 
 @pytest.mark.parametrize(
@@ -87,12 +87,12 @@ def test_the_power_mean_lies_between_lowest_and_highest(motions):
 )
 def test_wrong_arguments_are_named(given, path):
     with refused(path):
-        mbd.Frequencies("sheet", **given)
+        mbd.MeanFrequency("sheet", **given)
 
 
 def test_a_mode_that_is_not_retained_is_named(motions):
     with refused("number", 99):
-        mbd.Frequencies("sheet", (6, 99)).value(motions[0])
+        mbd.MeanFrequency("sheet", (6, 99)).value(motions[0])
 
 
 SUPPORTS = {"left_edge": "u1 u2 u3 phi1", "right_edge": "u3"}
@@ -100,13 +100,13 @@ SUPPORTS = {"left_edge": "u1 u2 u3 phi1", "right_edge": "u3"}
 
 def test_frequencies_on_supports_are_those_of_the_body(motions):
     exact, neighbors = motions
-    expected = mbd.frequencies(exact.system.body("sheet"), SUPPORTS, 3).frequencies.detach()
+    expected = mbd.natural_frequencies(exact.system.body("sheet"), SUPPORTS, 3).frequencies.detach()
     for number in (1, 3):
         measure = mbd.Frequency("sheet", number, SUPPORTS)
         value, gradient = measure.value_and_gradient(exact)
         torch.testing.assert_close(value[0], expected[number - 1])
         torch.testing.assert_close(gradient[0], differences(measure, neighbors), rtol=1e-5, atol=1e-2)
-    mean = mbd.Frequencies("sheet", (1, 3), supports=SUPPORTS).value(exact)[0]
+    mean = mbd.MeanFrequency("sheet", (1, 3), supports=SUPPORTS).value(exact)[0]
     torch.testing.assert_close(mean, (0.5 * (expected[0] ** 2 + expected[2] ** 2)).sqrt())
 
 

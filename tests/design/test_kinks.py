@@ -80,8 +80,8 @@ def test_a_falling_body_is_never_pulled_down(build, steps):
     assert mbd.AtPeaks(-ACCELERATION, count=3)(motion)[0].tolist() == pytest.approx(3 * [G], rel=1e-7)
     assert mbd.AtPeaks(ACCELERATION, count=2)(motion)[0, 1].item() == pytest.approx(-G, rel=1e-7)
     top = float(mbd.Max(ACCELERATION)(motion))
-    if "EquivalentLoad" in mbd.__all__:  # the extension fatigue is there
-        load = mbd.EquivalentLoad(ACCELERATION, exponent=3.0, cycles=1.0)
+    if "fatigue" in mbd.__all__:  # the extension fatigue is there
+        load = mbd.fatigue.EquivalentLoad(ACCELERATION, exponent=3.0, cycles=1.0)
         assert float(load(motion)) == pytest.approx(top + G, rel=1e-6)  # up and down again: one cycle
     for t in torch.linspace(0.0, 0.25, 99, dtype=torch.float64).tolist():
         assert float(mbd.AtTime(ACCELERATION, t)(motion)) >= -G * (1.0 + 1e-7)
@@ -127,6 +127,6 @@ def test_accelerations_stay_within_those_of_a_control(kind, steps):
     motion = mbd.simulate(pushed(kind, values), 1.2, steps=steps, gradients="none").require_ok()
     result = [float(measure(ACCELERATION)(motion)) for measure in (mbd.Max, mbd.Min)]
     assert result == pytest.approx([0.5, -1.5], rel=1e-9)
-    if "EquivalentLoad" in mbd.__all__:
-        load = mbd.EquivalentLoad(ACCELERATION, exponent=4.0, cycles=1.0)
+    if "fatigue" in mbd.__all__:
+        load = mbd.fatigue.EquivalentLoad(ACCELERATION, exponent=4.0, cycles=1.0)
         assert float(load(motion)) == pytest.approx(2.0, rel=1e-9)

@@ -252,7 +252,7 @@ def test_a_problem_that_cannot_be_compared_chooses_for_itself(simulated):
 def test_processes_take_the_steps_of_the_problem():
     """A copy of the problem in another process does not choose again."""
     chosen = problem()
-    make, arguments = mbd.Processes(chosen, 1).factory
+    make, arguments = mbd.optimization.Processes(chosen, 1).factory
     assert make(*arguments).simulation.steps == chosen.steps  # pyright: ignore[reportAttributeAccessIssue]
 
 

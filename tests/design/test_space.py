@@ -178,7 +178,7 @@ def test_tolerances_narrow_the_bounds_of_what_does_not_repeat_itself():
         start=[0.3, -0.4, 0.0, 0.0, 0.0],
         steps=4,
     )
-    robust = mbd.RobustProblem(problem, 0.1)
+    robust = mbd.optimization.RobustProblem(problem, 0.1)
     assert robust.upper == pytest.approx([0.9] * 2 + [1.0] * 3)
 
 

@@ -33,8 +33,8 @@ HISTORIES: dict[str, History] = {
     "ply_failure": mbd.PlyFailure("arm"),
     "ply_stress": mbd.PlyStress("arm", "11", layer=1),
 }
-if "BucklingIndex" in mbd.__all__:  # the extension buckling is there
-    HISTORIES["buckling_index"] = mbd.BucklingIndex("arm")
+if "buckling" in mbd.__all__:  # the extension buckling is there
+    HISTORIES["buckling_index"] = mbd.buckling.BucklingIndex("arm")
 # What ends at the switch: one law of a force or, of a history that is refused where phases have laws of their own
 # (tests/extensions/buckling/test_buckling_index.py), a free hinge.
 LAW, FREE_HINGE = "law", "free hinge"
@@ -147,7 +147,7 @@ EXPECTED = [
     (mbd.AtPeaks(VZ, count=2), (E * SPEED, 0.0), (E * G / SPEED, 0.0)),
 ]
 if "equivalent_load" in COMBINATORS:  # half cycles from 0 to -v, to e v, to the end: ranges v, (1 + e) v, e v - end
-    load = mbd.EquivalentLoad(VZ, exponent=3.0, cycles=1.0)
+    load = mbd.fatigue.EquivalentLoad(VZ, exponent=3.0, cycles=1.0)
     ranges = SPEED, (1.0 + E) * SPEED, E * SPEED - END
     EXPECTED.append((load, (0.5 * sum(x**3 for x in ranges)) ** (1.0 / 3.0), None))
 
@@ -187,12 +187,12 @@ def test_lanes_switch_at_times_of_their_own():
 @pytest.mark.thorough
 @pytest.mark.extensions
 def test_damage_counts_the_cycles_of_both_sides():
-    curve = mbd.SNCurve([(1e2, 4.0), (1e6, 0.5)])
+    curve = mbd.fatigue.SNCurve([(1e2, 4.0), (1e6, 0.5)])
     motion = bounce(ball(), gradients="none")
     ranges = torch.tensor([SPEED, (1.0 + E) * SPEED, E * SPEED - END], dtype=torch.float64)
     means = torch.tensor([-0.5 * SPEED, 0.5 * (E - 1.0) * SPEED, 0.5 * (E * SPEED + END)], dtype=torch.float64)
     expected = (0.5 / curve.cycles(0.5 * ranges, means)).sum()
-    assert_close(mbd.Damage(VZ, curve=curve)(motion)[0], expected, rtol=1e-9, atol=0.0)
+    assert_close(mbd.fatigue.Damage(VZ, curve=curve)(motion)[0], expected, rtol=1e-9, atol=0.0)
 
 
 @pytest.mark.thorough

@@ -155,7 +155,7 @@ def test_results_of_optimize_and_multistart() -> None:
         ],
         bounds=mbd.deg([-90, 90]),
     )
-    result = mbd.multistart(problem, starts=mbd.sobol(2, seed=1), max_iterations=2)
+    result = mbd.optimization.multistart(problem, starts=mbd.optimization.sobol(2, seed=1), max_iterations=2)
     for one in (result, result.best):
         assert one is not None
         found = mbd.verify(one)
@@ -202,7 +202,7 @@ def test_scenarios(rule: str) -> None:
 @pytest.mark.thorough
 def test_tolerances_are_verified_at_the_nominal_design() -> None:
     inner = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Integral(ENERGY), steps=40, bounds=mbd.deg([-90, 90]))
-    robust = mbd.RobustProblem(inner, mbd.deg(2.0), "worst")
+    robust = mbd.optimization.RobustProblem(inner, mbd.deg(2.0), "worst")
     result = mbd.optimize(robust, max_iterations=2)
     found = mbd.verify(result)
     assert found.verified, found.status

@@ -40,7 +40,7 @@ def test_titles(response, said):
 
 @pytest.mark.extensions
 def test_a_measure_without_a_name_in_files_has_that_of_its_class():
-    damage = mbd.Damage(mbd.Reaction("hinge", "z"), curve=mbd.SNCurve([(1e3, 4e8), (1e6, 2e8)]))
+    damage = mbd.fatigue.Damage(mbd.Reaction("hinge", "z"), curve=mbd.fatigue.SNCurve([(1e3, 4e8), (1e6, 2e8)]))
     assert heading(damage) == "damage of z reaction of hinge"
     assert unit(damage) == ""
 

@@ -25,8 +25,8 @@ OF_ARM = {
     "operators": mbd.Max(ENERGY) / mbd.Integral(ENERGY) + 2.0 * mbd.Min(TIP),
     "peaks": mbd.AtPeaks(TIP, count=2),
 }
-if "EquivalentLoad" in mbd.__all__:  # the extension fatigue is there
-    OF_ARM["load"] = mbd.EquivalentLoad(TIP, exponent=4.0, cycles=1.0)
+if "fatigue" in mbd.__all__:  # the extension fatigue is there
+    OF_ARM["load"] = mbd.fatigue.EquivalentLoad(TIP, exponent=4.0, cycles=1.0)
 
 
 def oscillator(frequency: float = 40.0) -> mbd.System:

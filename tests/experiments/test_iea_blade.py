@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(ROOT is None, reason=f"{iea_blade.VARIABLE} is n
 @pytest.mark.parametrize(("position", "near"), [(0.0, 5e-3), (0.02, 5e-3), (0.5, 8e-2)])
 def test_sections_of_the_file_are_those_of_beamdyn(position: float, near: float):
     assert ROOT is not None
-    section = mbd.read_windio(ROOT / iea_blade.BLADE).section(position)
+    section = mbd.io.read_windio(ROOT / iea_blade.BLADE).section(position)
     at = torch.tensor([position], dtype=torch.float64)
     table = iea_blade.beamdyn(ROOT)
     K, other = section.stiffness().diagonal(), table.stiffness(at)[0].diagonal()

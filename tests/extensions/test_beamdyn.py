@@ -25,7 +25,7 @@ def test_a_blade_file_of_beamdyn(tmp_path):
     damping = "2   station_total  - Number\n1   damp_type\n---- Damping ---\nmu1 mu2\n1.0E-03 1.0E-03\n"
     file = tmp_path / "blade.inp"
     file.write_text(head + damping + "---- Distributed Properties ----\n" + "\n".join(blocks))
-    read = mbd.read_beamdyn(file)
+    read = mbd.io.read_beamdyn(file)
     own = mbd.SectionTable([0.0, 1.0], [(ours, mass), (0.6 * ours, mass)])
     line = mbd.BeamLine.straight(1.0, 4)
     result = [mbd.ExactBeam("blade", line, t).equilibrium({"end": (0.1, 0.5, 0.3)}).nodes for t in (read, own)]
@@ -38,7 +38,7 @@ def test_files_that_are_refused(tmp_path):
     good = f"2 station_total\n--- Distributed Properties ---\n0.0 ! root\n{rows}\n\n{rows}\n1.0\n{rows}\n{rows}\nEND\n"
     (tmp_path / "good.inp").write_text(good)
     assert torch.equal(
-        mbd.read_beamdyn(tmp_path / "good.inp").mass(torch.tensor([0.3]))[0].diagonal(),
+        mbd.io.read_beamdyn(tmp_path / "good.inp").mass(torch.tensor([0.3]))[0].diagonal(),
         2.0 * torch.ones(6, dtype=torch.float64),
     )
     for old, new, argument, fact in (
@@ -49,6 +49,6 @@ def test_files_that_are_refused(tmp_path):
     ):
         (tmp_path / "bad.inp").write_text(good.replace(old, new))
         with refused(argument, ANY, fact):
-            mbd.read_beamdyn(tmp_path / "bad.inp")
+            mbd.io.read_beamdyn(tmp_path / "bad.inp")
     with refused("path"):
-        mbd.read_beamdyn(tmp_path / "none.inp")
+        mbd.io.read_beamdyn(tmp_path / "none.inp")

@@ -45,18 +45,18 @@ ENDDATA
 
 def bulk(folder: Path) -> list[Tensor]:
     (folder / "model.bdf").write_text(BARS)
-    return list(mbd.read_bdf(folder / "model.bdf", "body", 4).structure().values())
+    return list(mbd.io.read_bdf(folder / "model.bdf", "body", 4).structure().values())
 
 
 def robot(folder: Path) -> list[Tensor]:
     (folder / "arm.urdf").write_text('<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n")
-    result = mbd.simulate(mbd.read_urdf(folder / "arm.urdf"), 0.01, steps=4)
+    result = mbd.simulate(mbd.io.read_urdf(folder / "arm.urdf"), 0.01, steps=4)
     return [result.q, result.v, result.a]
 
 
 def scene(folder: Path) -> list[Tensor]:
     (folder / "arm.xml").write_text(MECHANISM)
-    result = mbd.simulate(mbd.read_mjcf(folder / "arm.xml"), 0.01, steps=4)
+    result = mbd.simulate(mbd.io.read_mjcf(folder / "arm.xml"), 0.01, steps=4)
     return [result.q, result.v, result.a]
 
 
@@ -81,5 +81,5 @@ def test_masses_of_bars(tmp_path):
     )
     for dtype in (torch.bfloat16, torch.float32):
         with default(dtype):
-            body = mbd.read_bdf(tmp_path / "bar.bdf", "bar", 2)
+            body = mbd.io.read_bdf(tmp_path / "bar.bdf", "bar", 2)
         assert_close(body.structure()["mass"], tensor(2.7001)[0], rtol=1e-14, atol=0)

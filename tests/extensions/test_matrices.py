@@ -186,12 +186,12 @@ def test_the_punch_file_of_one_external_superelement(begin, tmp_path):
         "DMIG,KAAX,901,0,,901,0,9.",
     ]
     file.write_text("\n".join(["$ STANDARD PUNCH (.PCH) FILE FOR EXTERNAL SUPERELEMENT 111", "$", begin, *cards, ""]))
-    matrix = mbd.read_matrix(file)
+    matrix = mbd.io.read_matrix(file)
     assert matrix.rows == [(7, 1), (901, 1)]
     assert matrix.matrix.toarray().tolist() == [[4.0, 0.0], [0.0, 9.0]]
     file.write_text("\n".join(["GRID,1,,0.,0.,0.", begin, *cards, ""]))
     with refused("part.pch, line 2"):
-        mbd.read_matrix(file)
+        mbd.io.read_matrix(file)
 
 
 def test_a_matrix_is_not_refused_for_its_neighbor(tmp_path):
@@ -218,7 +218,7 @@ def test_a_matrix_is_not_refused_for_its_neighbor(tmp_path):
 def test_matrices_that_were_saved_make_the_same_body(built, numbers, tmp_path):
     paths = built.save_matrices(tmp_path / "arm")
     assert [p.name for p in paths] == ["arm_M.mtx", "arm_K.mtx"]
-    want, result = given(numbers).structure(), given([mbd.read_matrix(path) for path in paths]).structure()
+    want, result = given(numbers).structure(), given([mbd.io.read_matrix(path) for path in paths]).structure()
     for key in ("mass", "S0", "P0", "S1", "C0", "C1", "Kr", "psi"):
         assert_close(result[key], want[key], rtol=1e-9, atol=1e-9 * float(want[key].abs().max()))
 
@@ -238,6 +238,6 @@ def test_labels_of_a_file_find_their_nodes(numbers, tmp_path):
     places = {100 + 10 * k: x for k, x in enumerate(NODES.tolist())}
     own = {"modes": 4, "reference": 0, "node_sets": SETS}
     result = mbd.FlexibleBody.from_matrices(
-        "arm", *(mbd.read_matrix(tmp_path / f"{key}.mtx") for key in "MK"), places, **own
+        "arm", *(mbd.io.read_matrix(tmp_path / f"{key}.mtx") for key in "MK"), places, **own
     )
     assert_close(result.structure()["Kr"], given(numbers).structure()["Kr"], rtol=1e-9, atol=1e-3)

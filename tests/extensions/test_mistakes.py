@@ -14,16 +14,22 @@ from torchmbd.errors import InputError
 any_: Any = mbd  # calls that a type checker would refuse as well
 LAMINATE = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45.0, -45.0]), 1e-3)
 CASES = [
-    *((lambda x=x: any_.read_mesh(x, "b", None), "path is .*; allowed: a mesh file") for x in (None, [], 3, b"x")),
-    *((lambda x=x: any_.read_bdf(x, "b"), "path is .*; allowed: a Nastran") for x in (None, [], 3, b"x")),
-    *((lambda x=x: any_.read_matrix(x), "path is .*; allowed: a matrix file") for x in (None, [], 3, b"x")),
-    *((lambda x=x: any_.read_beamdyn(x), "path is .*; allowed: a BeamDyn") for x in (None, [], 3, b"x")),
-    *((lambda x=x: any_.read_windio(x), "path is .*; allowed: a windIO") for x in (None, [], 3, b"x")),
-    *((lambda x=x: any_.LaminationRules(min_share=x), "min_share is .*; allowed: 0 to 0.25") for x in ("x", [], {})),
-    *((lambda x=x: any_.LaminationRules(max_step=x), "max_step is .*; allowed: 0 to 90") for x in ("x", [], {})),
-    (lambda: any_.LaminationRules(balanced="no"), "balanced is 'no'; allowed: True or False"),
-    (lambda: mbd.read_bdf("b.bdf", "b", units="inch"), "'inch'.*did you mean 'in'"),
-    (lambda: any_.read_bdf("none.bdf", "r", modes=2, units=3), "units.*allowed"),
+    *((lambda x=x: any_.io.read_mesh(x, "b", None), "path is .*; allowed: a mesh file") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.io.read_bdf(x, "b"), "path is .*; allowed: a Nastran") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.io.read_matrix(x), "path is .*; allowed: a matrix file") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.io.read_beamdyn(x), "path is .*; allowed: a BeamDyn") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.io.read_windio(x), "path is .*; allowed: a windIO") for x in (None, [], 3, b"x")),
+    *(
+        (lambda x=x: any_.lamination.LaminationRules(min_share=x), "min_share is .*; allowed: 0 to 0.25")
+        for x in ("x", [], {})
+    ),
+    *(
+        (lambda x=x: any_.lamination.LaminationRules(max_step=x), "max_step is .*; allowed: 0 to 90")
+        for x in ("x", [], {})
+    ),
+    (lambda: any_.lamination.LaminationRules(balanced="no"), "balanced is 'no'; allowed: True or False"),
+    (lambda: mbd.io.read_bdf("b.bdf", "b", units="inch"), "'inch'.*did you mean 'in'"),
+    (lambda: any_.io.read_bdf("none.bdf", "r", modes=2, units=3), "units.*allowed"),
 ]
 
 
@@ -42,8 +48,8 @@ def plate(tmp_path):
 
 def test_options_of_a_mesh(plate):
     with pytest.raises(TypeError) as error:
-        any_.read_mesh(plate, "b", LAMINATE, refrence="center")
+        any_.io.read_mesh(plate, "b", LAMINATE, refrence="center")
     assert error.value.__notes__ == ["Try: reference = ... in place of refrence = 'center'."]
     for x in (None, "x", 3, []):
         with refused("laminate"):
-            any_.read_mesh(plate, "b", x)
+            any_.io.read_mesh(plate, "b", x)

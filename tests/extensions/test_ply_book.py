@@ -23,7 +23,7 @@ def two_zones() -> mbd.FlexibleBody:
 
 
 def test_a_table_has_all_plies_from_the_bottom(tmp_path):
-    with mbd.write_ply_book(two_zones(), tmp_path / "book.csv").open() as file:
+    with mbd.io.write_ply_book(two_zones(), tmp_path / "book.csv").open() as file:
         rows = list(csv.reader(file))
     assert rows[0] == ["body", "zone", "ply", "angle [deg]", "thickness [mm]", "material", "bottom [mm]"]
     assert rows[1:] == [
@@ -37,7 +37,7 @@ def test_a_table_has_all_plies_from_the_bottom(tmp_path):
 
 def test_a_page_has_tables_and_sketches(tmp_path):
     """The page is well-formed, the top ply is the first row, and each ply has its hatching."""
-    text = mbd.write_ply_book(two_zones(), tmp_path / "book.html").read_text()
+    text = mbd.io.write_ply_book(two_zones(), tmp_path / "book.html").read_text()
     page = ET.fromstring(text.replace("<!DOCTYPE html>", "").replace("<meta charset='utf-8'>", ""))
     materials, inner, outer = page.findall(".//table")
     assert [row[1].text for row in materials.findall("tr")][1:] == [f"{x / 1e9:.6g}" for x in (CARBON.E1, 210e9)]
@@ -49,8 +49,8 @@ def test_a_page_has_tables_and_sketches(tmp_path):
 
 def test_bad_input_is_refused(tmp_path):
     with refused("path"):
-        mbd.write_ply_book(two_zones(), tmp_path / "book.pdf")
+        mbd.io.write_ply_book(two_zones(), tmp_path / "book.pdf")
     section = mbd.sections.tube(0.02, CARBON, [0.0], thickness=1e-3, cells=(8, 1))
     body, rod = two_zones(), mbd.FlexibleBody.beam("rod", mbd.BeamLine.straight(1.0, 2), section, 2)
     with warned("body 'rod'", "laminated shells"):
-        mbd.write_ply_book(mbd.System([body, rod], free=["panel", "rod"]), tmp_path / "book.csv")
+        mbd.io.write_ply_book(mbd.System([body, rod], free=["panel", "rod"]), tmp_path / "book.csv")

@@ -133,13 +133,13 @@ READERS: dict[str, tuple[Callable[[Path], Any], str, str]] = {
     "vtk": (mesh_file, "mesh.vtk", VTK),
     "urdf": (urdf_robot, "arm.urdf", test_urdf.TEXT),
     "mjcf": (mjcf_robot, "arm.xml", test_mjcf.MECHANISM.replace("><", ">\n<")),
-    "windio": (lambda path: mbd.read_windio(path).section(0.5, cells=12, order=1), "blade.yaml", _windio()),
+    "windio": (lambda path: mbd.io.read_windio(path).section(0.5, cells=12, order=1), "blade.yaml", _windio()),
     "windio_2": (
-        lambda path: mbd.read_windio(path).section(0.5, cells=12, order=1),
+        lambda path: mbd.io.read_windio(path).section(0.5, cells=12, order=1),
         "blade.yaml",
         yaml.safe_dump(test_windio_versions.version_2()),
     ),
-    "beamdyn": (mbd.read_beamdyn, "blade.inp", _beamdyn()),
+    "beamdyn": (mbd.io.read_beamdyn, "blade.inp", _beamdyn()),
 }
 
 

@@ -93,7 +93,7 @@ def blade(tmp_path):
         } | changed
         path = tmp_path / "blade.yaml"
         path.write_text(yaml.safe_dump(data))
-        return mbd.read_windio(path)
+        return mbd.io.read_windio(path)
 
     return made
 
@@ -269,7 +269,7 @@ def test_hostile_files(tmp_path, text):
     path = tmp_path / "x.yaml"
     path.write_text(text)
     with refused("x.yaml.data"):
-        mbd.read_windio(path)
+        mbd.io.read_windio(path)
 
 
 def test_a_tip_without_chord(blade):
@@ -282,9 +282,9 @@ def test_files_that_are_no_blade(tmp_path, blade):
         path = tmp_path / "x.yaml"
         path.write_text(text)
         with refused("x.yaml"):
-            mbd.read_windio(path)
+            mbd.io.read_windio(path)
     with refused("path"):
-        mbd.read_windio(tmp_path / "none.yaml")
+        mbd.io.read_windio(tmp_path / "none.yaml")
     with refused("position"):
         blade(circle(), [skin("outer", "steel", 0.02)], []).section(2.0)
 
@@ -339,7 +339,7 @@ def test_an_anchor_may_be_defined_again(tmp_path, blade):
     path = tmp_path / "blade.yaml"
     text = path.read_text()
     path.write_text("a: &g [7, 9]\nb: &g [0.0, 1.0]\nc: *g\n" + text)
-    assert float(mbd.read_windio(path).section(0.5).mass()[0, 0]) == pytest.approx(expected, rel=1e-14)
+    assert float(mbd.io.read_windio(path).section(0.5).mass()[0, 0]) == pytest.approx(expected, rel=1e-14)
     assert _loaded(path.read_text())["c"] == [0.0, 1.0]
 
 

@@ -108,7 +108,7 @@ def version_2() -> dict:
 def read(folder: Path, data: dict):
     path = folder / "blade.yaml"
     path.write_text(yaml.safe_dump(data))
-    return mbd.read_windio(path)
+    return mbd.io.read_windio(path)
 
 
 def parts(data: dict) -> tuple[dict, dict]:

@@ -253,8 +253,8 @@ def test_responses_see_the_smaller_steps(steps):
     assert_close(mbd.Integral(ACCELERATION)(motion), change, rtol=0, atol=5e-3 * float(mbd.Max(SPEED)(fine)))
     assert float(motion.energies.balance.abs().max()) < 5e-3 * MASS * G * 0.1
     assert float(mbd.Min(ACCELERATION)(motion)) == pytest.approx(-G, rel=1e-9)
-    if "EquivalentLoad" in mbd.__all__:  # the extension fatigue is there
-        load = mbd.EquivalentLoad(ACCELERATION, exponent=3.0, cycles=1.0)
+    if "fatigue" in mbd.__all__:  # the extension fatigue is there
+        load = mbd.fatigue.EquivalentLoad(ACCELERATION, exponent=3.0, cycles=1.0)
         assert_close(load(motion), load(fine), rtol=5e-3, atol=0.0)
 
 

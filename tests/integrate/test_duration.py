@@ -199,12 +199,12 @@ OF_TIME = [
     mbd.SmoothMax(DEFLECTION, scale=1e-3),
     mbd.Final(mbd.Angle("arm", "z")),
 ]
-if "SNCurve" in mbd.__all__:  # the extension fatigue is there
+if "fatigue" in mbd.__all__:  # the extension fatigue is there
     OF_TIME += [
-        mbd.EquivalentLoad(HEIGHT, exponent=3.0),
-        mbd.EquivalentLoad(HEIGHT, exponent=3.0, cycles=2.0),
-        mbd.FatigueDamage("arm", {"22": 3}),
-        mbd.Damage(mbd.PlyStress("arm", "11", layer=1), curve=mbd.SNCurve([(1e2, 1e9), (1e6, 1e5)])),
+        mbd.fatigue.EquivalentLoad(HEIGHT, exponent=3.0),
+        mbd.fatigue.EquivalentLoad(HEIGHT, exponent=3.0, cycles=2.0),
+        mbd.fatigue.FatigueDamage("arm", {"22": 3}),
+        mbd.fatigue.Damage(mbd.PlyStress("arm", "11", layer=1), curve=mbd.fatigue.SNCurve([(1e2, 1e9), (1e6, 1e5)])),
     ]
 
 

@@ -131,5 +131,5 @@ def test_twenty_thousand_starts_are_never_one_batch(monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(problem, "evaluate", evaluate)
-    assert mbd.multistart(problem, starts=mbd.sobol(20_000, seed=1)).interrupted
+    assert mbd.optimization.multistart(problem, starts=mbd.optimization.sobol(20_000, seed=1)).interrupted
     assert sizes == [64]

@@ -39,7 +39,7 @@ def test_reasons_that_differ_in_numbers_are_one() -> None:
     assert are_many(9, {"a": 1})
 
 
-@pytest.mark.parametrize("search", [mbd.optimize, mbd.multistart])
+@pytest.mark.parametrize("search", [mbd.optimize, mbd.optimization.multistart])
 def test_a_result_tells_failures_and_the_start(search: Any) -> None:
     sound, failing = search(Valley(3.0), "slsqp"), search(Valley(0.5), "slsqp")
     text = repr(sound)
@@ -47,7 +47,7 @@ def test_a_result_tells_failures_and_the_start(search: Any) -> None:
     assert "none failed" in text
     assert "better than the start, 1" in text
     assert not sound.failing_text
-    best = failing.best if search is mbd.multistart else failing
+    best = failing.best if search is mbd.optimization.multistart else failing
     assert best.status == "many_failures"
     assert not best.converged
     assert sum(best.reasons.values()) == best.failures
@@ -87,7 +87,7 @@ def test_a_feasible_design_is_better_than_an_infeasible_start(limit: float, begi
 
 def test_a_search_without_an_evaluation_has_no_design() -> None:
     assert "no design was evaluated; 0 evaluations" in MultistartResult([], []).search_text
-    assert "no start ended with a feasible design" in mbd.multistart(Wall(-3.0), "slsqp").search_text
+    assert "no start ended with a feasible design" in mbd.optimization.multistart(Wall(-3.0), "slsqp").search_text
 
 
 def test_an_optimum_at_the_start_is_equal_to_it() -> None:

@@ -66,7 +66,7 @@ def test_one_rule_for_all_doors(door: str) -> None:
         if door == "stored":
             target = CachedProblem(problem, MemoryStore(), others=lambda other: (MemoryStore(), other))
         starts = [[0.2], [-1.5]]
-        study = mbd.multistart(target, "slsqp", starts, reports.append, ended.append, max_iterations=30)
+        study = mbd.optimization.multistart(target, "slsqp", starts, reports.append, ended.append, max_iterations=30)
         results = study.results
         assert [result.start for result in ended] == [0, 1]
         assert all(a is b for a, b in zip(ended, results, strict=True))

@@ -37,8 +37,8 @@ def test_a_method_with_dense_matrices_is_refused(method):
     problem = Valley()
     for search in (
         lambda: mbd.optimize(problem, method),
-        lambda: mbd.multistart(problem, method, [problem.start]),
-        lambda: mbd.optimize_discrete(problem, 0.5, method),
+        lambda: mbd.optimization.multistart(problem, method, [problem.start]),
+        lambda: mbd.optimization.optimize_discrete(problem, 0.5, method),
         lambda: mbd.Study(problem, method=method),
     ):
         with pytest.raises(mbd.InputError, match=text):
@@ -61,8 +61,8 @@ def test_another_method_serves():
 def test_designs_that_are_moved_one_by_one_are_refused():
     for argument, make in (
         ("problem", mbd.Differences),
-        ("tolerance", lambda problem: mbd.RobustProblem(problem, 0.1)),
+        ("tolerance", lambda problem: mbd.optimization.RobustProblem(problem, 0.1)),
     ):
         with refused(argument, ANY, "5,000", "100,000"):
             make(Valley())
-    assert len(mbd.RobustProblem(Valley(MOST_DENSE // 50), 0.1).shifts) == 1 + 2 * MOST_DENSE // 50
+    assert len(mbd.optimization.RobustProblem(Valley(MOST_DENSE // 50), 0.1).shifts) == 1 + 2 * MOST_DENSE // 50

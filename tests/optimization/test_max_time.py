@@ -52,7 +52,7 @@ def test_enough_time_changes_nothing(problem):
 
 def test_a_multistart_begins_no_start_after_it(problem):
     problem.lower[:], problem.upper[:] = -2.0, 2.0
-    study = mbd.multistart(problem, "slsqp", mbd.sobol(8, seed=1), max_lanes=2, max_time=5.5)
+    study = mbd.optimization.multistart(problem, "slsqp", mbd.optimization.sobol(8, seed=1), max_lanes=2, max_time=5.5)
     assert len(problem.batches) <= 7
     assert {r.status for r in study.results} == {"max_time"}
     assert study.best is not None
@@ -61,7 +61,7 @@ def test_a_multistart_begins_no_start_after_it(problem):
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, "long", np.nan])
-@pytest.mark.parametrize("function", [mbd.optimize, mbd.multistart])
+@pytest.mark.parametrize("function", [mbd.optimize, mbd.optimization.multistart])
 def test_a_limit_is_positive(function, limit):
     with refused("max_time"):
         function(rosenbrock(), max_time=limit)

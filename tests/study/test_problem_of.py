@@ -33,11 +33,11 @@ def test_the_problem_of_a_file_is_that_of_its_study(write):
 @pytest.mark.thorough
 def test_it_serves_steps_and_tolerances(write):
     problem = mbd.problem_of(write(subject_to=None), "simulate.duration=0.002", "simulate.steps=8")
-    laid = mbd.optimize_discrete(problem, mbd.deg(15), max_iterations=2, max_boxes=2, max_neighbors=4)
+    laid = mbd.optimization.optimize_discrete(problem, mbd.deg(15), max_iterations=2, max_boxes=2, max_neighbors=4)
     assert laid.best is not None
     steps = np.degrees(laid.best.x) / 15.0
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
-    robust = mbd.RobustProblem(problem, mbd.deg(2.0))
+    robust = mbd.optimization.RobustProblem(problem, mbd.deg(2.0))
     (result,) = robust.evaluate(robust.start[None], False)
     assert result.ok
 

@@ -50,7 +50,7 @@ def own(folder, empty_store, monkeypatch):
 
 @pytest.fixture
 def small() -> mbd.Study:
-    starts = mbd.sobol(2, seed=7, include_initial=True)
+    starts = mbd.optimization.sobol(2, seed=7, include_initial=True)
     return mbd.Study(
         problem(), starts, "mmfd", name="small", max_iterations=2, question="Which angles?", experiment="py"
     )
@@ -130,7 +130,7 @@ def deadly(self, X, gradients):
         os.kill(os.getpid(), signal.SIGKILL)
     return evaluate(self, X, gradients)
 mbd.Problem.evaluate = deadly
-starts = mbd.sobol(2, seed=7, include_initial=True)
+starts = mbd.optimization.sobol(2, seed=7, include_initial=True)
 study = mbd.Study(problem(), starts, "mmfd", name="small", max_iterations=2, question="Which angles?", experiment="py")
 study.run(console=QUIET)
 """
@@ -173,7 +173,7 @@ class Valley:
 
 @pytest.mark.thorough
 def test_other_problems_fronts_tolerances_and_steps(own):
-    result = mbd.Study(Valley(), mbd.sobol(2, seed=1), method="slsqp", name="valley").run(console=QUIET)
+    result = mbd.Study(Valley(), mbd.optimization.sobol(2, seed=1), method="slsqp", name="valley").run(console=QUIET)
     np.testing.assert_allclose(result.best.x, [1.0, 1.0], atol=1e-4)
     tradeoff = mbd.Tradeoff(
         build(),
@@ -203,8 +203,8 @@ def test_other_problems_fronts_tolerances_and_steps(own):
     assert f"at most about {told} simulations in batches of 4" in page.getvalue()
     assert front.result.analyses <= told
     assert page.getvalue().count("  minimize ") == 2
-    worst = mbd.RobustProblem(problem(subject_to=()), mbd.deg(2.0), "worst")
-    robust = mbd.Study(worst, mbd.sobol(2, seed=1), name="robust", max_iterations=2).run(console=QUIET)
+    worst = mbd.optimization.RobustProblem(problem(subject_to=()), mbd.deg(2.0), "worst")
+    robust = mbd.Study(worst, mbd.optimization.sobol(2, seed=1), name="robust", max_iterations=2).run(console=QUIET)
     assert robust.columns.names == ("angle_1_deg", "angle_2_deg")
     assert robust.best is not None
     stepped = mbd.Study(problem(), name="steps", max_iterations=2, increments={"rod.laminate.angles": mbd.deg(15.0)})
@@ -238,7 +238,9 @@ def test_scenarios_are_a_study_like_any_other(own):
         variables=["rod.laminate.angles"],
         bounds=mbd.deg([-90, 90]),
     )
-    result = mbd.Study(asked, mbd.sobol(2, seed=1), "mmfd", name="cases", max_iterations=2).run(console=QUIET)
+    result = mbd.Study(asked, mbd.optimization.sobol(2, seed=1), "mmfd", name="cases", max_iterations=2).run(
+        console=QUIET
+    )
     assert result.status == "FINISHED"
     assert result.columns.names == ("angle_1_deg", "angle_2_deg")
     assert result.best.value <= asked.evaluate(asked.start[None], False)[0].objective

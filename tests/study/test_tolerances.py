@@ -52,7 +52,7 @@ def test_a_study_with_tolerances(write, tmp_path, empty_store):
     tracker = MlflowTracker("tolerances", uri)
     assert run_study(plan, Console(file=output, width=200), tracker) in (0, UNVERIFIED)
     assert "mean over the tolerances" in output.getvalue()
-    own = mbd.RobustProblem(plan.simulated, mbd.deg([4.0, 4.0]))
+    own = mbd.optimization.RobustProblem(plan.simulated, mbd.deg([4.0, 4.0]))
     alone = mbd.optimize(own, "mmfd", max_iterations=2)
     metrics = open_store(uri).get_run(tracker.record.runs["study"]).data.metrics
     assert metrics["objective"] == pytest.approx(alone.value, rel=1e-9)
@@ -97,7 +97,7 @@ def test_scenarios_and_tolerances_multiply():
         variables=["arm.laminate.angles"],
         steps=4,
     )
-    robust = mbd.RobustProblem(over, mbd.deg(2.0))
+    robust = mbd.optimization.RobustProblem(over, mbd.deg(2.0))
     assert robust.simulations == 3 * 5
     study = mbd.Study(robust, max_iterations=2)
     cost, output = estimate(study, study.simulated), io.StringIO()

@@ -65,7 +65,7 @@ def run(folder: Path, lines: list[str]) -> np.ndarray:
 
 def shell(folder: Path, body: mbd.FlexibleBody, change: str) -> Tensor:
     """Displacements of the body's nodes by S8R on its mesh; `change`: the numbers of *TEMPERATURE behind the nodes."""
-    head, _ = mbd.write_model(body, folder / "plate.inp").read_text().split("*STEP")
+    head, _ = mbd.io.write_model(body, folder / "plate.inp").read_text().split("*STEP")
     none = ", ".join("0." for _ in change.split(","))
     step = ["*INITIAL CONDITIONS, TYPE=TEMPERATURE", f"NALL, {none}", "*STEP", "*STATIC", "*TEMPERATURE"]
     return torch.from_numpy(run(folder, [head.rstrip(), *step, f"NALL, {change}"])[: len(body.mesh.nodes)])

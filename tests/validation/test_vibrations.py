@@ -56,7 +56,7 @@ def test_simply_supported_orthotropic_plate(kind):
     a, b = 1.2, 0.8
     laminate = mbd.Laminate(CARBON, [0.0, math.pi / 2, 0.0], [1e-3, 1e-3, 1e-3])
     body = plate(laminate, (a, b), (32, 22), kind)
-    result = mbd.frequencies(body, supported(body.mesh, True), number=4).frequencies
+    result = mbd.natural_frequencies(body, supported(body.mesh, True), number=4).frequencies
     D, mass = laminate.stiffness().D.detach(), CARBON.density * 3e-3
 
     def frequency(m: int, n: int) -> float:
@@ -81,7 +81,7 @@ def test_antisymmetric_angle_ply_plate(kind):
         "bottom_edge": "u2 u3 phi2",
         "top_edge": "u2 u3 phi2",
     }
-    result = mbd.frequencies(body, edges, number=3).frequencies
+    result = mbd.natural_frequencies(body, edges, number=3).frequencies
     A, B, D, _ = (X.detach() for X in laminate.stiffness())
 
     def frequency(m: int, n: int) -> float:
@@ -109,7 +109,7 @@ def test_square_plates_of_leissa(kind, name):
     mesh = mbd.mesh.rectangle(a, a, (28, 28), kind)
     mass = "lumped" if edges else "consistent"  # lumped masses at free edges have larger errors, of second order
     body = mbd.FlexibleBody.plate("plate", mesh, mbd.Laminate(ALUMINUM, [0.0], [h]), modes=2, mass=mass)
-    result = mbd.frequencies(body, dict.fromkeys(edges, "all"), number=6).frequencies
+    result = mbd.natural_frequencies(body, dict.fromkeys(edges, "all"), number=6).frequencies
     D = 70e9 * h**3 / (12 * (1 - NU**2))
     scaled = 2 * math.pi * result.detach() * a**2 * math.sqrt(2700.0 * h / D)
     assert scaled.tolist() == pytest.approx(numbers, rel=1e-2)
@@ -134,7 +134,7 @@ def rod(elements: int) -> mbd.FlexibleBody:
 )
 def test_beams(supports, roots):
     """Both planes of bending, one stiffer by 2: the limit of meshes, whose errors are of second order."""
-    coarse, fine = (mbd.frequencies(rod(n), supports, number=4).frequencies for n in (20, 40))
+    coarse, fine = (mbd.natural_frequencies(rod(n), supports, number=4).frequencies for n in (20, 40))
     result = (4.0 * fine - coarse) / 3.0
     base = [x**2 * math.sqrt(EI / MASS) / (2 * math.pi * LENGTH**2) for x in roots]
     assert result.tolist() == pytest.approx(sorted([*base, *(math.sqrt(2) * f for f in base)]), rel=2e-4)

@@ -20,7 +20,7 @@ from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.system import System
 from torchmbd.optimization.multistart import MultistartResult
 
-ALLOWED = "a flexible body, a System, a result of mbd.optimize or mbd.multistart, or a study of mbd.load"
+ALLOWED = "a flexible body, a System, a result of mbd.optimize or mbd.optimization.multistart, or a study of mbd.load"
 
 
 def flexible_bodies(argument: str, design: Any) -> list[FlexibleBody]:

@@ -8,7 +8,7 @@
     SmoothMax  c/rho ln sum exp(rho y_k / c)      c: scale in the unit of y, rho: sharpness
                at least the largest sample, at most c ln(samples)/rho above it; smooth where another peak becomes the largest
     Frequency  of a mode of a body fixed at its reference nodes, or on other supports [Hz]
-    Frequencies  power mean of several, which is smooth where they cross [Hz]
+    MeanFrequency  power mean of several, which is smooth where they cross [Hz]
     Mass       of a body, or of all bodies [kg]
 
 `window` (t0, t1) [s] selects a part of the motion; values at its ends are interpolated.
@@ -285,12 +285,12 @@ class Frequency(Measure):
 
     body      its name
     number    1 is the lowest; without supports up to the number of retained modes
-    supports  as in mbd.frequencies, with all degrees of freedom of the mesh; None: the reference nodes, with the retained
-              modes
+    supports  as in mbd.natural_frequencies, with all degrees of freedom of the mesh; None: the reference nodes, with the
+              retained modes
 
     Where frequencies coincide (their squares agree to 1e-6), none of them is differentiable. The gradient is then the mean of
-    their one-sided slopes, a subgradient in the sense of Clarke. `eigenpair_branches` gives these slopes; `Frequencies`, a mean
-    of several frequencies, is differentiable there.
+    their one-sided slopes, a subgradient in the sense of Clarke. `eigenpair_branches` gives these slopes; `MeanFrequency`
+    is differentiable there.
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
     >>> value, gradient = mbd.Frequency("arm", 1).value_and_gradient(motion)
@@ -323,7 +323,7 @@ def _check_number(system: System, body: str, number: int, supports: Supports | N
 
 
 @dataclass(frozen=True)
-class Frequencies(Measure):
+class MeanFrequency(Measure):
     """Power mean of natural frequencies [lanes] [Hz]: (mean of f^(2 power))^(1 / (2 power)).
 
     body      its name
@@ -337,7 +337,7 @@ class Frequencies(Measure):
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
     >>> low, high = (mbd.Frequency("arm", k)(motion) for k in (1, 2))
-    >>> bool(low < mbd.Frequencies("arm", (1, 2), power=-4.0)(motion) < high)
+    >>> bool(low < mbd.MeanFrequency("arm", (1, 2), power=-4.0)(motion) < high)
     True
     """
 

@@ -5,7 +5,7 @@
     {rms: {velocity: {body: rod, node: right, axis: y}}}                   with arguments of the history
     {frequency: {body: rod, number: 2}}, {mass: rod}                       measures of the design
     {frequency: {body: rod, supports: {left: all}}}
-    {frequencies: {body: rod, cluster: [2, 3], power: -4}}
+    {mean_frequency: {body: rod, cluster: [2, 3], power: -4}}
     {aggregate: [{max: ...}, {at_times: ...}], kind: ks, sharpness: 50}     the largest of their rows, smooth
     {weighted_sum: [{weight: 0.6, integral: ...}, {weight: 0.4, rms: ...}], normalize: initial}
 

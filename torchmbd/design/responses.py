@@ -25,12 +25,12 @@ from torchmbd.design.measures import (
     RMS,
     AtTime,
     Final,
-    Frequencies,
     Frequency,
     Integral,
     Mass,
     Max,
     Mean,
+    MeanFrequency,
     Min,
     SmoothMax,
 )
@@ -72,7 +72,7 @@ OF_DESIGN: Registry[type[Measure]] = Registry(
     "of_design",
     {
         "frequency": Frequency,
-        "frequencies": Frequencies,
+        "mean_frequency": MeanFrequency,
         "mass": Mass,
     },
 )

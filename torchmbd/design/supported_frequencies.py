@@ -1,4 +1,4 @@
-"""Natural frequencies of a body on supports of its own for measures: cases of mbd.frequencies, made once for each body.
+"""Natural frequencies of a body on supports of its own for measures: cases of mbd.natural_frequencies, made once for each body.
 
 Checked in tests/design/test_frequencies.py.
 """

@@ -5,7 +5,7 @@
     tradeoff = mbd.Tradeoff(
         system, 0.06, {"energy": mbd.Integral(U), "torsion": mbd.Integral(twist**2)}, bounds=mbd.deg([-90, 90])
     )
-    front = mbd.pareto_front(tradeoff)
+    front = mbd.optimization.pareto_front(tradeoff)
 
 A batch of designs is one simulation for all criteria. Checked in tests/design/test_tradeoff.py.
 """

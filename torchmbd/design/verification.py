@@ -61,7 +61,7 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
     (True, 'minimize')
     """
     if not isinstance(result, (OptimizationResult, MultistartResult)):
-        raise InputError("result", result, "the result of mbd.optimize or mbd.multistart")
+        raise InputError("result", result, "the result of mbd.optimize or mbd.optimization.multistart")
     best, feasibility, others = result, FEASIBILITY, []
     if isinstance(result, MultistartResult):
         best, feasibility, others = result.best, result.feasibility, other_ends(result)

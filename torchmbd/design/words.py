@@ -34,7 +34,7 @@ UNITS = {
     "ply_failure": "",
     "ply_stress": "Pa",
     "frequency": "Hz",
-    "frequencies": "Hz",
+    "mean_frequency": "Hz",
     "mass": "kg",
 }
 _JOINED = {torch.add: "{} + {}", torch.sub: "{} - {}", torch.mul: "{} · {}", torch.div: "{} / {}"}

@@ -2,7 +2,8 @@
 
 They use the core by its registries and public contracts; the core imports none of them. torchmbd/registry.py finds what the
 tables below name, at the first look-up. To add an extension: its package or file, whose `__all__` are its public names; a line
-in NAMES; an import for type checkers; and entries of registries, if it has some (docs/how-to/extend.md).
+in NAMES; an import for type checkers, here or in torchmbd/io.py; entries of registries, if it has some
+(docs/how-to/extend.md).
 Checked in tests/test_registry.py, tests/test_layers.py.
 """
 
@@ -10,47 +11,41 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # type checkers find `mbd.rainflow` by these
-    from torchmbd.extensions.beamdyn import *  # noqa: F403
-    from torchmbd.extensions.buckling import *  # noqa: F403
-    from torchmbd.extensions.fatigue import *  # noqa: F403
-    from torchmbd.extensions.fibers import *  # noqa: F403
-    from torchmbd.extensions.identification import *  # noqa: F403
-    from torchmbd.extensions.lamination import *  # noqa: F403
-    from torchmbd.extensions.matrices import *  # noqa: F403
-    from torchmbd.extensions.meshes import *  # noqa: F403
-    from torchmbd.extensions.nastran import *  # noqa: F403
-    from torchmbd.extensions.native import *  # noqa: F403
+if TYPE_CHECKING:  # type checkers find `mbd.fatigue.rainflow` by these
+    from torchmbd.extensions import buckling as buckling
+    from torchmbd.extensions import fatigue as fatigue
+    from torchmbd.extensions import fibers as fibers
+    from torchmbd.extensions import identification as identification
+    from torchmbd.extensions import lamination as lamination
+    from torchmbd.extensions import vibrations as vibrations
     from torchmbd.extensions.openmdao import *  # noqa: F403
-    from torchmbd.extensions.paraview import *  # noqa: F403
-    from torchmbd.extensions.ply_book import *  # noqa: F403
-    from torchmbd.extensions.robots import *  # noqa: F403
-    from torchmbd.extensions.shell_models import *  # noqa: F403
-    from torchmbd.extensions.vibrations import *  # noqa: F403
-    from torchmbd.extensions.windio import *  # noqa: F403
 
-#: Extension, or a module in it, -> its public names, `mbd.<name>`; `viz.` before those of pictures.
+#: Extension, or a module in it, -> its public names, `mbd.<name>`. Before the name stands its room: the extension itself, `io`
+#: (torchmbd/io.py) for readers and writers of files, or `viz` for pictures.
 NAMES = {
-    "beamdyn": "read_beamdyn",
-    "buckling": "Buckling BucklingFactor BucklingIndex buckling",
-    "fatigue": "Damage EquivalentLoad FatigueDamage SNCurve rainflow",
-    "fibers": "FiberCurvature FiberDivergence FiberField SteeredLaminate viz.fiber_paths",
-    "identification": "Channel Experiment FrequencyResponseData Identification ModalData StaticCurve TimeSeries identify "
-    "viz.data_and_model",
-    "lamination": "LaminationParameters LaminationRegion LaminationRules recover_blended_stacks recover_stacks",
-    "matrices": "read_matrix",
-    "meshes": "read_mesh",
-    "nastran": "read_bdf write_bdf",
+    "beamdyn": "io.read_beamdyn",
+    "buckling": "buckling.BucklingFactor buckling.BucklingIndex buckling.BucklingModes buckling.linear_buckling",
+    "fatigue": "fatigue.Damage fatigue.EquivalentLoad fatigue.FatigueDamage fatigue.SNCurve fatigue.rainflow",
+    "fibers": "fibers.FiberCurvature fibers.FiberDivergence fibers.FiberField fibers.SteeredLaminate viz.fiber_paths",
+    "identification": "identification.Channel identification.Experiment identification.FrequencyResponseData "
+    "identification.Identification identification.ModalData identification.StaticCurve identification.TimeSeries "
+    "identification.identify viz.data_and_model",
+    "lamination": "lamination.LaminationParameters lamination.LaminationRegion lamination.LaminationRules "
+    "lamination.recover_blended_stacks lamination.recover_stacks",
+    "matrices": "io.read_matrix",
+    "meshes": "io.read_mesh",
+    "nastran": "io.read_bdf io.write_bdf",
     "native": "",
     "openmdao": "openmdao_component",
     "paraview": "viz.save_mesh viz.save_modes viz.save_motion",
-    "ply_book": "write_ply_book",
-    "robots": "read_mjcf read_urdf",
-    "shell_models": "write_model",
-    "vibrations": "Campbell CampbellClearance CriticalSpeed DampingRatio FrequencyResponse LinearSystem StabilityLimit"
-    " StabilityMargin SystemFrequency campbell frozen_poles linearize",
+    "ply_book": "io.write_ply_book",
+    "robots": "io.read_mjcf io.read_urdf",
+    "shell_models": "io.write_model",
+    "vibrations": "vibrations.CampbellClearance vibrations.CampbellDiagram vibrations.CriticalSpeed vibrations.DampingRatio "
+    "vibrations.FrequencyResponse vibrations.LinearSystem vibrations.StabilityLimit vibrations.StabilityMargin "
+    "vibrations.SystemFrequency vibrations.campbell vibrations.frozen_poles vibrations.linearize",
     "vibrations.pictures": "viz.animate_mode viz.campbell viz.mode_motion viz.root_locus",
-    "windio": "read_windio",
+    "windio": "io.read_windio",
 }
 #: Extension -> those that it imports: without them it is not there either.
 NEEDS = {

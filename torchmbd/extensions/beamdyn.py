@@ -31,7 +31,7 @@ def read_beamdyn(path: str | Path) -> SectionTable:
     >>> with open("blade.inp", "w") as file:
     ...     _ = file.write(f"a blade\\n2 station_total\\n--- Distributed Properties ---\\n"
     ...                    f"0.0\\n{rows}\\n\\n{rows}\\n\\n1.0\\n{rows}\\n\\n{rows}\\n")
-    >>> mbd.read_beamdyn("blade.inp").stiffness(torch.tensor([0.0]))[0].diagonal().tolist()
+    >>> mbd.io.read_beamdyn("blade.inp").stiffness(torch.tensor([0.0]))[0].diagonal().tolist()
     [9.0, 2.0, 2.0, 1.0, 4.0, 3.0]
     """
     positions, sections = [], []

@@ -40,7 +40,7 @@ def read_matrix(path: str | Path, name: str | None = None) -> LabeledMatrix:
 
     >>> with open("K.mtx", "w") as file:
     ...     _ = file.write("%%MatrixMarket matrix coordinate real symmetric\\n2 2 3\\n1 1 4.0\\n2 1 -1.0\\n2 2 5.0\\n")
-    >>> mbd.read_matrix("K.mtx").matrix.toarray().tolist()
+    >>> mbd.io.read_matrix("K.mtx").matrix.toarray().tolist()
     [[4.0, -1.0], [-1.0, 5.0]]
     """
     if not isinstance(path, (str, Path)) or not Path(path).is_file():

@@ -39,7 +39,9 @@ _LINE, _TRIANGLE, _QUAD = 3, 5, 9  # VTK's numbers of cells
 
 
 def save_mesh(body: Any, path: str | Path) -> Path:
-    """Write the undeformed mesh of a flexible body, or a mesh; body axes with the mesh's own origin.
+    """Write the undeformed mesh of a flexible body, or a mesh; body axes with the mesh's own origin. Returns the path.
+
+    path  the VTU file
 
     >>> mbd.viz.save_mesh(mbd.mesh.rectangle(0.5, 0.05, (4, 2)), "plate.vtu").name
     'plate.vtu'
@@ -67,6 +69,8 @@ def _fibers(mesh: Any, plates: Iterable[Any]) -> dict[str, np.ndarray]:
 
 def save_modes(body: Any, path: str | Path) -> Path:
     """Write the modes of a flexible body as vector fields "mode_1_12.3Hz", ..., normalized to the size of the body.
+
+    path  the VTU file, which is returned
 
     >>> mbd.viz.save_modes(mbd.examples.arm().body("arm"), "arm.vtu").name
     'arm.vtu'

@@ -46,12 +46,12 @@ class Row:
 def write_ply_book(design: Any, path: str | Path) -> Path:
     """Write the plies of all laminated parts of a design, as a workshop lays them up.
 
-    design   result of mbd.optimize or mbd.multistart, study of mbd.load, System or body
+    design   result of mbd.optimize or mbd.optimization.multistart, study of mbd.load, System or body
     path     the file to write: .csv, a row for each ply; or .html, with a table and a sketch for each part
     Returns the path. Raises InputError if fibers vary over a part. Warns of bodies without laminated shells, which it leaves
     out.
 
-    >>> path = mbd.write_ply_book(mbd.examples.arm(), "arm.csv")
+    >>> path = mbd.io.write_ply_book(mbd.examples.arm(), "arm.csv")
     >>> print(*path.read_text().splitlines()[:2], sep="\\n")
     body,zone,ply,angle [deg],thickness [mm],material,bottom [mm]
     arm,plate,1,45,1,M1,-1

@@ -1,4 +1,7 @@
-"""Optimizers by one contract: arrays only, no mechanics."""
+"""Optimizers by one contract: arrays only, no mechanics.
+
+>>> starts = mbd.optimization.sobol(8, seed=1)  # of multistart, identify and studies
+"""
 
 from torchmbd.optimization.api import optimize
 from torchmbd.optimization.criteria import Criteria, ManyCriteria

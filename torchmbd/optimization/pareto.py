@@ -153,7 +153,7 @@ def pareto_front(
     ...     bounds=(0.5e-3, 2e-3),
     ...     steps=10,
     ... )
-    >>> front = mbd.pareto_front(tradeoff, divisions=2, max_iterations=3)
+    >>> front = mbd.optimization.pareto_front(tradeoff, divisions=2, max_iterations=3)
     >>> front.criteria.shape  # points, criteria
     (3, 2)
     """

@@ -46,7 +46,7 @@ class RobustProblem:
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
-    >>> robust = mbd.RobustProblem(problem, mbd.deg(2.5))  # plies are laid up to within 2.5 degrees
+    >>> robust = mbd.optimization.RobustProblem(problem, mbd.deg(2.5))  # plies are laid up to within 2.5 degrees
     >>> [mean], [given] = (p.evaluate(p.start[None], False) for p in (robust, problem))
     >>> bool(abs(mean.objective / given.objective - 1.0) < 0.05)
     True

@@ -1,6 +1,6 @@
 """A study: a problem that is optimized from several starts, tracked, continued after a kill, and reported.
 
-    study = mbd.Study(problem, starts=mbd.sobol(8, seed=1), name="arm")
+    study = mbd.Study(problem, starts=mbd.optimization.sobol(8, seed=1), name="arm")
     study.check()                  what it will cost
     study.run()                    the same call continues a study that was interrupted or killed
     study.best, study.to_dataframe(), study.plot(), study.report("arm.html")
@@ -34,7 +34,8 @@ class Study(StudySettings):
     """A study of a problem.
 
     problem         a Problem, RobustProblem or Tradeoff (a Pareto front), or another object that `optimize` takes
-    starts          start designs, as in `multistart`: mbd.sobol(8, seed=1), a list of designs; None: the problem's own
+    starts          start designs, as in `multistart`: mbd.optimization.sobol(8, seed=1), a list of designs; None: the
+                    problem's own
     method          the optimizer, as in `optimize`
     name            of the study; a study of the same name, problem and settings is continued
     max_iterations  of every start
@@ -51,7 +52,7 @@ class Study(StudySettings):
     >>> problem = mbd.Problem(
     ...     mbd.examples.arm(), 0.05, mbd.Integral(mbd.StrainEnergy("arm")), bounds=mbd.deg([-90, 90]), steps=20
     ... )
-    >>> study = mbd.Study(problem, mbd.sobol(8, seed=1), name="arm", question="Which angles?")
+    >>> study = mbd.Study(problem, mbd.optimization.sobol(8, seed=1), name="arm", question="Which angles?")
     >>> study.points.shape, study.columns.names  # study.run() begins it, or goes on with it
     ((8, 2), ('angle_1_deg', 'angle_2_deg'))
     """

@@ -23,7 +23,7 @@ def build() -> mbd.System:
 
 
 def problem() -> mbd.Problem:
-    limits = [mbd.CriticalSpeed(1, between=(20.0, 2000.0), axis="x") >= 350.0]
+    limits = [mbd.vibrations.CriticalSpeed(1, between=(20.0, 2000.0), axis="x") >= 350.0]
     bounds = {"shaft.section.angles": mbd.deg([0, 90]), "shaft.section.thickness": (0.3e-3, 3e-3)}
     links = {"shaft.section.angles[1]": {"shaft.section.angles[0]": -1.0}}
     return mbd.Problem(

@@ -27,7 +27,7 @@ def build() -> mbd.System:
 
 
 def problem() -> mbd.Problem:
-    limits, bounds = [mbd.SystemFrequency(1) >= 0.5], {"damper.mass": (1.0, 2000.0)}
+    limits, bounds = [mbd.vibrations.SystemFrequency(1) >= 0.5], {"damper.mass": (1.0, 2000.0)}
     return mbd.Problem(build(), 1e-3, steps=2, maximize=mbd.Mass("damper"), subject_to=limits, bounds=bounds)
 
 

@@ -58,9 +58,9 @@ def test_gradients_by_the_nodes_of_a_beam_whose_loads_are_spread():
 @pytest.mark.extensions
 def test_gradients_by_steered_fibers():
     mesh = mbd.mesh.rectangle(1.0, 0.7, (4, 3), "quad")
-    field = mbd.FiberField(mesh, controls=(3, 1))
+    field = mbd.fibers.FiberField(mesh, controls=(3, 1))
     angles = torch.tensor([[0.3, -0.5], [0.5, -0.2], [0.0, 0.4]], dtype=torch.float64)
-    laminate = mbd.SteeredLaminate(CARBON, angles, [1e-3, 2e-3], field)
+    laminate = mbd.fibers.SteeredLaminate(CARBON, angles, [1e-3, 2e-3], field)
     body = mbd.FlexibleBody.plate("panel", mesh, laminate, modes=2, reference="left_edge")
     check_gradients(Factors(body, {"right_edge": (-1e3, 300.0, 0.0)}, 1), "body.laminate.angles", 1e-2)
 
@@ -100,12 +100,12 @@ def test_loads_that_only_stiffen_have_no_factor(cells):
     ply = mbd.Ply(E1=70e9, E2=70e9, G12=35e9, G13=35e9, G23=35e9, nu12=0.0, density=2700.0)
     mesh = mbd.mesh.rectangle(1.0, 0.7, cells, "quad")
     body = mbd.FlexibleBody.plate("panel", mesh, mbd.Laminate(ply, [0.0], [1e-3]), modes=2, reference="left_edge")
-    result = mbd.buckling(body, {"right_edge": (1e3, 0.0, 0.0)}, number=2)
+    result = mbd.buckling.linear_buckling(body, {"right_edge": (1e3, 0.0, 0.0)}, number=2)
     assert torch.isinf(result.factors).all()
     assert result.status.startswith("no buckling")
     assert not bool(result.shapes.any())
     system = mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("left_edge"))])
-    limit = mbd.BucklingFactor("panel", {"right_edge": (1e3, 0.0, 0.0)}) >= 2.0
+    limit = mbd.buckling.BucklingFactor("panel", {"right_edge": (1e3, 0.0, 0.0)}) >= 2.0
     problem = mbd.Problem(system, 1e-3, mbd.Mass("panel"), [limit], steps=2, variables=["panel.laminate.angles"])
     [evaluation] = problem.evaluate(problem.start[None], True)
     assert "buckling factor of panel is infinite" in evaluation.status
@@ -114,9 +114,9 @@ def test_loads_that_only_stiffen_have_no_factor(cells):
 @pytest.mark.thorough
 def test_the_sparse_and_the_dense_way_agree(monkeypatch):
     loads = {"right_edge": (-1e3, 300.0, 0.0)}
-    dense = mbd.buckling(panel((8, 6)), loads, number=3)
+    dense = mbd.buckling.linear_buckling(panel((8, 6)), loads, number=3)
     monkeypatch.setattr(eigenproblem, "SMALL", 10)
-    sparse = mbd.buckling(panel((8, 6)), loads, number=3)
+    sparse = mbd.buckling.linear_buckling(panel((8, 6)), loads, number=3)
     assert dense.status == sparse.status == "ok"
     assert_close(sparse.factors, dense.factors, rtol=1e-9, atol=0.0)
     assert_close(sparse.shapes.abs(), dense.shapes.abs(), rtol=0.0, atol=1e-6)
@@ -161,7 +161,7 @@ def test_loads_are_spread_over_edges_areas_and_elements():
 def test_wrong_arguments_are_named(change, fault):
     arguments: dict[str, Any] = {"body": panel((2, 2)), "loads": {"right_edge": (-1.0, 0.0, 0.0)}} | change
     with refused(*fault):
-        mbd.buckling(**arguments)
+        mbd.buckling.linear_buckling(**arguments)
 
 
 def test_bodies_without_known_stress_are_refused():
@@ -171,12 +171,12 @@ def test_bodies_without_known_stress_are_refused():
     section = mbd.sections.tube(0.03, CARBON, [0.3], 5e-4)
     body = mbd.FlexibleBody("link", mesh, {"beam": Beams(mesh, section), "spring": spring}, 1, reference=0)
     with refused("link.spring"):
-        mbd.buckling(body, {1: (-1.0, 0.0, 0.0)})
+        mbd.buckling.linear_buckling(body, {1: (-1.0, 0.0, 0.0)})
 
 
 def test_a_design_without_stiffness_is_a_failed_evaluation():
     """Lamination parameters that no stack has: the plate's matrix is not definite, and a search goes on with other designs."""
-    laminate = mbd.LaminationParameters(
+    laminate = mbd.lamination.LaminationParameters(
         mbd.examples.carbon(), 2e-3, membrane=[0, 0, 0, 0], bending=[0, 0, 0, 0], checked=False
     )
     mesh = mbd.mesh.rectangle(0.5, 0.3, cells=(4, 3))
@@ -189,7 +189,7 @@ def test_a_design_without_stiffness_is_a_failed_evaluation():
         "top_edge": "u3",
         "corner_left_bottom": "u2 u3",
     }
-    buckling = mbd.BucklingFactor("panel", {"right_edge": (-3e3, 0, 0)}, edges)
+    buckling = mbd.buckling.BucklingFactor("panel", {"right_edge": (-3e3, 0, 0)}, edges)
     problem = mbd.Problem(
         system, 1e-3, minimize=-1.0 * buckling, variables=["panel.laminate.bending"], bounds=(-1, 1), steps=2
     )

@@ -69,18 +69,23 @@ def test_a_slow_motion_has_the_factor_of_static_loads(make: Callable, root: str,
     body = make()
     motion = finished(mbd.simulate(loaded(body, root, end, force, 2.0), 2.0, steps=40, backend="eager"))
     for number in (1, 2):
-        index = mbd.BucklingIndex("rod", number=number)(motion)[0]
-        expected = 1.0 / mbd.buckling(body, {end: force}, number=number).factors[-1]
+        index = mbd.buckling.BucklingIndex("rod", number=number)(motion)[0]
+        expected = 1.0 / mbd.buckling.linear_buckling(body, {end: force}, number=number).factors[-1]
         share = torch.sin(0.25 * math.pi * motion.t) ** 2
         assert_close(index[10:], (expected * share)[10:], rtol=2e-4, atol=0.0)
-    assert_close(mbd.BucklingFactor("rod")(motion)[0], mbd.buckling(body, {end: force}).factors[0], rtol=2e-4, atol=0.0)
+    assert_close(
+        mbd.buckling.BucklingFactor("rod")(motion)[0],
+        mbd.buckling.linear_buckling(body, {end: force}).factors[0],
+        rtol=2e-4,
+        atol=0.0,
+    )
 
 
 @pytest.mark.thorough
 def test_lateral_buckling_of_a_cantilever():
     """4.0126 (EI GJ)^1/2 / L^2, a force at the tip in the stiff plane (Timoshenko and Gere)."""
     motion = finished(mbd.simulate(loaded(rod(), "start", "end", (0.0, 5.0, 0.0), 2.0), 2.0, steps=40, backend="eager"))
-    factor = 5.0 * mbd.BucklingFactor("rod")(motion)[0].item()
+    factor = 5.0 * mbd.buckling.BucklingFactor("rod")(motion)[0].item()
     assert factor == pytest.approx(4.0126 * math.sqrt(EI * GJ) / LENGTH**2, rel=3e-3)
 
 
@@ -93,8 +98,8 @@ def test_a_column_under_its_own_weight(reference):
     fall = mbd.System([body], [mbd.Fixed(mbd.Ground().at(0, 0, 0), body.at("start"))], gravity=(0, 9.81, 0))
     supports = {"start": "all"}
     assert bool((body.axes @ torch.tensor([1.0, 0, 0], dtype=torch.float64))[1] == 1.0)
-    upright = mbd.BucklingIndex("rod", supports)(mbd.simulate(system, 0.1, steps=10, backend="eager"))[0]
-    hanging = mbd.BucklingIndex("rod", supports)(mbd.simulate(fall, 0.1, steps=10, backend="eager"))[0]
+    upright = mbd.buckling.BucklingIndex("rod", supports)(mbd.simulate(system, 0.1, steps=10, backend="eager"))[0]
+    hanging = mbd.buckling.BucklingIndex("rod", supports)(mbd.simulate(fall, 0.1, steps=10, backend="eager"))[0]
     expected = 2.0 * 9.81 * LENGTH**3 / (7.8373 * EI)
     assert_close(upright, torch.full_like(upright, expected), rtol=5e-3, atol=0.0)
     assert not bool(hanging.any())
@@ -121,11 +126,11 @@ def test_euler_column_on_a_slider_crank(where):
         [mbd.Force(slider.at(), (-force, 0.0, 0.0))],
     )
     motion = finished(mbd.simulate(system, 4.0, steps=40, backend="eager"))
-    index = mbd.BucklingIndex("rod", PINNED)(motion)[0]
+    index = mbd.buckling.BucklingIndex("rod", PINNED)(motion)[0]
     lean = r * torch.sin(0.5 * motion.t) / LENGTH
     expected = force / torch.sqrt(1.0 - lean**2) * LENGTH**2 / (math.pi**2 * EI)
     assert_close(index[2:], expected[2:], rtol=2e-3, atol=0.0)
-    peak = mbd.BucklingFactor("rod", supports=PINNED)(motion).item()
+    peak = mbd.buckling.BucklingFactor("rod", supports=PINNED)(motion).item()
     assert peak == pytest.approx(1.0 / float(expected.max()), rel=2e-3)
 
 
@@ -135,8 +140,8 @@ def test_a_frame_on_several_nodes_spreads_its_force():
     frame = list(body.mesh.node_sets["right_edge"])
     motion = finished(mbd.simulate(loaded(body, "left_edge", frame, force, 2.0), 2.0, steps=40, backend="eager"))
     nodal = {(int(k),): tuple(x / len(frame) for x in force) for k in frame}
-    expected = 1.0 / mbd.buckling(body, nodal).factors[0]
-    assert_close(mbd.BucklingIndex("rod")(motion)[0, -1], expected, rtol=1e-4, atol=0.0)
+    expected = 1.0 / mbd.buckling.linear_buckling(body, nodal).factors[0]
+    assert_close(mbd.buckling.BucklingIndex("rod")(motion)[0, -1], expected, rtol=1e-4, atol=0.0)
 
 
 @pytest.mark.thorough
@@ -164,21 +169,21 @@ def test_the_sparse_way_and_times_without_load(monkeypatch):
     motion = finished(
         mbd.simulate(loaded(rod(), "start", "end", (-30.0, 0.0, 0.0), 2.0), 2.0, steps=10, backend="eager")
     )
-    dense = mbd.BucklingIndex("rod")(motion)
+    dense = mbd.buckling.BucklingIndex("rod")(motion)
     assert not bool(dense[0, 0])
     monkeypatch.setattr(eigenproblem, "SMALL", 10)
-    assert_close(mbd.BucklingIndex("rod")(motion), dense, rtol=0.0, atol=1e-8 * float(dense.max()))
+    assert_close(mbd.buckling.BucklingIndex("rod")(motion), dense, rtol=0.0, atol=1e-8 * float(dense.max()))
     body = rod()
     unloaded = mbd.System([body], [mbd.Fixed(mbd.Ground().at(0, 0, 0), body.at("start"))])
     still = mbd.simulate(unloaded, 2.0, steps=2, backend="eager")
-    assert not bool(mbd.BucklingIndex("rod")(still).any())
-    assert bool(torch.isinf(mbd.BucklingFactor("rod")(still)))
+    assert not bool(mbd.buckling.BucklingIndex("rod")(still).any())
+    assert bool(torch.isinf(mbd.buckling.BucklingFactor("rod")(still)))
 
 
 @pytest.mark.thorough
 def test_phases_go_on_with_the_same_forces_only():
     system = loaded(rod(), "start", "end", (-30.0, 0.0, 0.0), 2.0)
-    index = mbd.BucklingIndex("rod")
+    index = mbd.buckling.BucklingIndex("rod")
     whole = index(mbd.simulate(system, 2.0, steps=10, backend="eager"))
     phases = [mbd.Phase(until=1.0), mbd.Phase()]
     assert_close(
@@ -208,7 +213,7 @@ def test_gradients_by_torch_func_and_differences(name, step):
     system = pendulum()
     key = f"rod.laminate.{name}"
     x = dict(system.named_parameters())[key].detach().clone()
-    index = mbd.BucklingIndex("rod", {"left": "all", "right": "u2 u3"})
+    index = mbd.buckling.BucklingIndex("rod", {"left": "all", "right": "u2 u3"})
 
     def f(x: Tensor, gradients: str = "auto") -> Tensor:
         options: dict[str, Any] = {
@@ -237,7 +242,7 @@ def test_coinciding_indices_have_the_mean_of_their_derivatives():
 
     def f(s: Tensor) -> Tensor:
         motion = mbd.simulate(system, 0.5, steps=4, backend="eager", designs={name: (x + s * along)[None]})
-        return torch.stack([mbd.BucklingIndex("rod", number=k)(motion)[0, -1] for k in (1, 2)])
+        return torch.stack([mbd.buckling.BucklingIndex("rod", number=k)(motion)[0, -1] for k in (1, 2)])
 
     zero = torch.zeros(1, dtype=torch.float64)
     first, second = torch.func.jacrev(f)(zero)
@@ -251,7 +256,7 @@ def test_coinciding_indices_have_the_mean_of_their_derivatives():
 def test_lanes_backends_and_a_problem():
     system = pendulum()
     designs = {"rod.laminate.angles": torch.deg2rad(torch.tensor([[20.0, -50.0], [70.0, 15.0]], dtype=torch.float64))}
-    index = mbd.BucklingIndex("rod")
+    index = mbd.buckling.BucklingIndex("rod")
     both = index(mbd.simulate(system, 0.01, steps=10, designs=designs))
     alone = [
         index(mbd.simulate(system, 0.01, steps=10, designs={k: x[i, None] for k, x in designs.items()})) for i in (0, 1)
@@ -260,7 +265,9 @@ def test_lanes_backends_and_a_problem():
     eager = index(mbd.simulate(system, 0.01, steps=10, designs=designs, backend="eager"))
     assert_close(both, eager, rtol=1e-7, atol=1e-9 * float(both.max()))
     options: dict[str, Any] = {"duration": 0.01, "steps": 10}
-    problem = mbd.Problem(system, minimize=mbd.Max(index), subject_to=[mbd.BucklingFactor("rod") >= 1.0], **options)
+    problem = mbd.Problem(
+        system, minimize=mbd.Max(index), subject_to=[mbd.buckling.BucklingFactor("rod") >= 1.0], **options
+    )
     result = problem.evaluate(designs["rod.laminate.angles"].numpy(), gradients=True)
     for lane, evaluation in enumerate(result):
         peak = float(both[lane].max())
@@ -271,8 +278,10 @@ def test_lanes_backends_and_a_problem():
 
 def test_in_experiment_files():
     supports = {"left": "all", "right": "u2 u3"}
-    assert history_of({"buckling_index": {"body": "rod", "supports": supports}}) == mbd.BucklingIndex("rod", supports)
-    assert measure_of({"buckling_factor": "rod"}) == mbd.BucklingFactor("rod")
+    assert history_of({"buckling_index": {"body": "rod", "supports": supports}}) == mbd.buckling.BucklingIndex(
+        "rod", supports
+    )
+    assert measure_of({"buckling_factor": "rod"}) == mbd.buckling.BucklingFactor("rod")
 
 
 @pytest.mark.thorough
@@ -286,16 +295,16 @@ def test_what_cannot_buckle_so_is_named(tmp_path):
     ]
     for given, path in cases:
         with refused(path):
-            mbd.BucklingIndex("rod", **given).check(system)
+            mbd.buckling.BucklingIndex("rod", **given).check(system)
     with pytest.raises(mbd.InputError, match="leave it movable"):
-        mbd.BucklingIndex("rod", {"start": "u1"})(mbd.simulate(system, 0.01, steps=2, backend="eager"))
+        mbd.buckling.BucklingIndex("rod", {"start": "u1"})(mbd.simulate(system, 0.01, steps=2, backend="eager"))
     given = mbd.FlexibleBody.from_reduced("rod", body.save_reduced(tmp_path / "rod.npz"))
     block = mbd.RigidBody("block", 1.0, (1.0, 1.0, 1.0))
     other = mbd.System([given, block], [], free=["rod", "block"])
     with refused("rod"):
-        mbd.BucklingIndex("rod").check(other)
+        mbd.buckling.BucklingIndex("rod").check(other)
     with refused("block"):
-        mbd.BucklingFactor("block").check(other)
+        mbd.buckling.BucklingFactor("block").check(other)
 
 
 @pytest.mark.thorough
@@ -305,5 +314,5 @@ def test_loads_that_differ_in_the_fifth_digit_are_two_cases():
     motion = mbd.simulate(system, 1e-4, steps=2)
     loads = [torch.tensor([-force, 0.001, 0.0], dtype=torch.float64) for force in (1234.51, 1234.54)]
     assert repr(loads[0]) == repr(loads[1])
-    first, second = (mbd.BucklingFactor("rod", {"end": load})(motion).item() for load in loads)
+    first, second = (mbd.buckling.BucklingFactor("rod", {"end": load})(motion).item() for load in loads)
     assert first / second == pytest.approx(1234.54 / 1234.51, rel=1e-9)

@@ -32,7 +32,7 @@ def test_simply_supported_orthotropic_plate(kind):
     laminate = mbd.Laminate(CARBON, [0.0, math.pi / 2, 0.0], [1e-3, 1e-3, 1e-3])
     body = plate(laminate, (a, b), (32, 22), kind)
     loads = {"right_edge": (-b, 0.0, 0.0), "left_edge": (b, 0.0, 0.0)}  # 1 N/m
-    result = mbd.buckling(body, loads, supported(body.mesh, True), number=3).factors
+    result = mbd.buckling.linear_buckling(body, loads, supported(body.mesh, True), number=3).factors
     D = laminate.stiffness().D.detach()
     expected = sorted(uniaxial(a, b, D, m, n) for m, n in product(range(1, 6), range(1, 4)))[:3]
     assert result.tolist() == pytest.approx(expected, rel=1e-2)
@@ -62,7 +62,9 @@ def test_antisymmetric_angle_ply_plate(kind):
         "bottom_edge": (None, bottom, 0.0, None, 0.0, None),
         "top_edge": (None, -bottom, 0.0, None, 0.0, None),
     }
-    result = mbd.buckling(body, {}, supports).factors.item() * float(A[0, 0] - A[0, 1] ** 2 / A[1, 1]) * -eps
+    result = (
+        mbd.buckling.linear_buckling(body, {}, supports).factors.item() * float(A[0, 0] - A[0, 1] ** 2 / A[1, 1]) * -eps
+    )
     expected = min(load(m, n) for m, n in product(range(1, 4), range(1, 3)))
     assert result == pytest.approx(expected, rel=1e-2)
 
@@ -81,7 +83,7 @@ def test_euler_columns(start, end, factor):
     section = mbd.GivenSection(stiffness, torch.diag(torch.tensor([1.0, 1, 1, 2, 1, 1], dtype=torch.float64)))
     body = mbd.FlexibleBody.beam("rod", mbd.BeamLine.straight(2.0, 12), section, modes=2)
     supports = {"start": start} | ({"end": end} if end else {})
-    result = mbd.buckling(body, {"end": (-1.0, 0.0, 0.0)}, supports).factors
+    result = mbd.buckling.linear_buckling(body, {"end": (-1.0, 0.0, 0.0)}, supports).factors
     assert result[0].item() == pytest.approx(factor * math.pi**2 * 100.0 / 4.0, rel=1e-3)
 
 
@@ -105,7 +107,7 @@ def test_lateral_buckling_of_a_strip(kind, cells):
     mesh = mbd.mesh.rectangle(L, h, cells, kind)
     body = mbd.FlexibleBody.plate("strip", mesh, mbd.Laminate(ply, [0.0], [t]), modes=2, reference="left_edge")
     tip = min(mesh.node_sets["right_edge"], key=lambda k: abs(float(mesh.nodes[k, 1])))
-    result = mbd.buckling(body, {tip: (0.0, 1.0, 0.0)}).factors.item()
+    result = mbd.buckling.linear_buckling(body, {tip: (0.0, 1.0, 0.0)}).factors.item()
     EI, GJ, EW = E * h * t**3 / 12.0, E / 2.6 * h * t**3 / 3.0, E * h**3 * t**3 / 144.0
     assert lateral(EI, GJ, 0.0, L) == pytest.approx(4.0126 * (EI * GJ) ** 0.5, rel=1e-3)
     assert result == pytest.approx(lateral(EI, GJ, EW, L), rel=1e-2)
@@ -119,7 +121,7 @@ def test_plate_of_tacs():
     body = plate(mbd.Laminate(ply, [0.0], [0.02]), (4.0, 3.0), (24, 18), "quad")
     corner = body.mesh.node_set("corner_left_bottom")[0]
     supports = dict.fromkeys(EDGES, "u3 phi3") | {"bottom_edge": "u2 u3 phi3", (corner,): "all"}
-    result = mbd.buckling(body, {"top_edge": (0.0, -80e3, 0.0)}, supports, number=5).factors
+    result = mbd.buckling.linear_buckling(body, {"top_edge": (0.0, -80e3, 0.0)}, supports, number=5).factors
     assert result[0].item() == pytest.approx(20.18364503, rel=1e-2)
     D = E * 0.02**3 / 12.0 / 0.91 * torch.tensor([[1.0, 0.3, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 0.35]])
     expected = sorted(uniaxial(3.0, 4.0, D, m, n) / 20e3 for m, n in product(range(1, 5), range(1, 5)))[:5]
@@ -156,7 +158,7 @@ def test_clamped_plate_under_compression_and_shear():
     edges = {int(i) for edge in EDGES for i in body.mesh.node_sets[edge]}
     places = {i: body.mesh.nodes[i].tolist() for i in edges}
     supports = {(i,): (1e-3 * (y - x), 1e-3 * x, 0.0, 0.0, 0.0, 0.0) for i, (x, y, _) in places.items()}
-    result = mbd.buckling(body, {}, supports, number=2).factors
+    result = mbd.buckling.linear_buckling(body, {}, supports, number=2).factors
     N = (-1e-3 * E * t / (1.0 - nu**2), -1e-3 * nu * E * t / (1.0 - nu**2), 2e-3 * E * t / 2.0 / (1.0 + nu))
     expected = clamped((1.0, 0.7), t, E, nu, [[N[0], N[2]], [N[2], N[1]]])
     assert result[0].item() == pytest.approx(expected, rel=1e-2)
@@ -213,7 +215,7 @@ def test_twisted_beams_whose_strains_are_coupled(load):
     ends = torch.linspace(0.0, 1.2, 17, dtype=torch.float64)
     line, twist = mbd.BeamLine.straight(1.0, 16), torch.stack([ends[:-1], ends[1:]], 1)
     body = mbd.FlexibleBody.beam("rod", line, section, modes=2, reference="start", twist=twist)
-    result = mbd.buckling(body, {"end": load}).factors.item()
+    result = mbd.buckling.linear_buckling(body, {"end": load}).factors.item()
     C, numbers = np.linalg.inv(K.numpy()), np.array(load, dtype=float)
     below = [transfer(x * result, numbers, C, 1.2) for x in (0.05, 0.3, 0.6, 0.9)]
     assert min(below) > 0.0

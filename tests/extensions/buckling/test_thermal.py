@@ -51,19 +51,25 @@ def test_a_simply_supported_plate_between_walls(kind):
     """Laminated steel: N = E alpha T h / (1 - nu) on all sides, against pi^2 D (1/a^2 + 1/b^2)."""
     body = plate(mbd.Laminate(STEEL, mbd.deg([0, 30, 80]), [0.5e-3, 1e-3, 0.5e-3]), (24, 16), kind)
     expected = math.pi**2 * 2e-3**2 * (1 / 0.8**2 + 1 / 0.5**2) / (12 * ALPHA * 1.3)
-    assert float(mbd.buckling(body, {}, WALLS, changes=KELVIN).factors.detach()) == pytest.approx(expected, rel=4e-3)
+    assert float(mbd.buckling.linear_buckling(body, {}, WALLS, changes=KELVIN).factors.detach()) == pytest.approx(
+        expected, rel=4e-3
+    )
 
 
 def test_a_pinned_bar_between_walls():
     """A factor for 1 K is the temperature at which it buckles; loads and temperature that grow together share it."""
     body = bar()
-    assert float(mbd.buckling(body, {}, PINNED, changes=KELVIN).factors) == pytest.approx(BAR_BUCKLES, rel=1e-3)
+    assert float(mbd.buckling.linear_buckling(body, {}, PINNED, changes=KELVIN).factors) == pytest.approx(
+        BAR_BUCKLES, rel=1e-3
+    )
     euler = math.pi**2 * E * I / LENGTH**2
     free = {"start": "u1 u2 u3 phi1", "end": "u2 u3"}
-    both = mbd.buckling(body, {"end": (-euler, 0.0, 0.0)}, free, changes={"temperature": 50.0})  # it expands freely
+    both = mbd.buckling.linear_buckling(
+        body, {"end": (-euler, 0.0, 0.0)}, free, changes={"temperature": 50.0}
+    )  # it expands freely
     assert float(both.factors) == pytest.approx(1.0, rel=1e-3)
     assert float(both.displacements[-1, 0]) == pytest.approx(LENGTH * (50.0 * ALPHA - euler / (E * AREA)), rel=1e-3)
-    cold = mbd.buckling(body, {}, PINNED, changes={"temperature": -1.0})
+    cold = mbd.buckling.linear_buckling(body, {}, PINNED, changes={"temperature": -1.0})
     assert float(cold.factors) > 1e5 * BAR_BUCKLES  # its tension stiffens it
 
 
@@ -76,10 +82,10 @@ def test_zones_add_up():
     zones = {name: torch.nonzero(x)[:, 0] for name, x in (("skin", right), ("root", ~right))}
     parts = {name: mbd.fem.elements.Plates(mesh, laminate, cells=cells) for name, cells in zones.items()}
     body = mbd.FlexibleBody("plate", mesh, parts, 2, reference="left_edge")
-    whole = mbd.buckling(body, {}, WALLS, 2, {"temperature": 1.0, "gradient": 0.0}).factors
-    apart = mbd.buckling(body, {}, WALLS, 2, {"temperature": {"skin": 1.0, "root": 1.0}}).factors
+    whole = mbd.buckling.linear_buckling(body, {}, WALLS, 2, {"temperature": 1.0, "gradient": 0.0}).factors
+    apart = mbd.buckling.linear_buckling(body, {}, WALLS, 2, {"temperature": {"skin": 1.0, "root": 1.0}}).factors
     assert_close(apart, whole, rtol=1e-10, atol=0)
-    assert mbd.buckling(body, {}, WALLS, changes={"temperature": {"skin": 1.0}}).factors[0] > whole[0]
+    assert mbd.buckling.linear_buckling(body, {}, WALLS, changes={"temperature": {"skin": 1.0}}).factors[0] > whole[0]
 
 
 @pytest.mark.thorough
@@ -101,12 +107,12 @@ def test_along_a_motion_and_as_a_measure():
     system = mbd.System([body], joints, [mbd.Temperature(body, warming, name="sun")], truncation=None)
     with pytest.warns(UserWarning, match="stiffening"):
         motion = mbd.simulate(system, 1.0, steps=20, backend="eager")
-    index = mbd.BucklingIndex("bar", PINNED)(motion)
+    index = mbd.buckling.BucklingIndex("bar", PINNED)(motion)
     assert_close(index[0].detach(), 0.25 - 0.25 * torch.cos(math.pi * motion.t), rtol=2e-3, atol=1e-4)
     index[0, -1].backward()
     assert peak.grad is not None
     assert float(peak.grad) == pytest.approx(float(index[0, -1]) / float(peak), rel=1e-6)
-    static = mbd.BucklingFactor("bar", supports=PINNED, changes=KELVIN)
+    static = mbd.buckling.BucklingFactor("bar", supports=PINNED, changes=KELVIN)
     assert static(motion).item() == pytest.approx(BAR_BUCKLES, rel=1e-3)
 
 
@@ -120,7 +126,7 @@ def test_what_is_wrong_is_named():
         ({"temperature": 0.0}, "plate.loads", ""),
     ):
         with refused(path, meant=meant):
-            mbd.buckling(body, {}, WALLS, changes=changes)  # pyright: ignore
+            mbd.buckling.linear_buckling(body, {}, WALLS, changes=changes)  # pyright: ignore
     bare = plate(mbd.Laminate(mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0), [0.3], 1e-3), (2, 2))
     with pytest.raises(mbd.InputError, match="layer 0 of the laminate, whose ply has no alpha1"):
-        mbd.buckling(bare, {}, WALLS, changes=KELVIN)
+        mbd.buckling.linear_buckling(bare, {}, WALLS, changes=KELVIN)

@@ -97,8 +97,10 @@ def test_a_history_that_is_not_finite_has_no_damage_made_up(wrong):
     assert cycles.range[1].isnan().all()
     assert cycles.range[0].tolist() == [2.0, 3.0, 4.0]
     t = torch.arange(4.0)
-    load = mbd.EquivalentLoad(mbd.Position("bob", "x"), exponent=3.0).reduce(Spline.of(t, y))
-    damage = mbd.Damage(mbd.Position("bob", "x"), curve=mbd.SNCurve([(1e3, 4.0), (1e6, 2.0)])).reduce(Spline.of(t, y))
+    load = mbd.fatigue.EquivalentLoad(mbd.Position("bob", "x"), exponent=3.0).reduce(Spline.of(t, y))
+    damage = mbd.fatigue.Damage(mbd.Position("bob", "x"), curve=mbd.fatigue.SNCurve([(1e3, 4.0), (1e6, 2.0)])).reduce(
+        Spline.of(t, y)
+    )
     assert load.isnan().tolist() == damage.isnan().tolist() == [False, True]
 
 

@@ -7,6 +7,6 @@ import torchmbd as mbd
 
 def steered_arm() -> mbd.System:
     """Six controls, straight at the start: "arm.laminate.angles" [6, 2]."""
-    field = mbd.FiberField(mbd.examples.arm().body("arm").mesh, controls=(3, 2), degree=1)
-    laminate = mbd.SteeredLaminate(mbd.examples.carbon(), mbd.deg([45.0, -45.0]), 1e-3, field)
+    field = mbd.fibers.FiberField(mbd.examples.arm().body("arm").mesh, controls=(3, 2), degree=1)
+    laminate = mbd.fibers.SteeredLaminate(mbd.examples.carbon(), mbd.deg([45.0, -45.0]), 1e-3, field)
     return mbd.examples.arm(laminate=laminate)

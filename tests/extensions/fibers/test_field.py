@@ -16,11 +16,11 @@ MIDDLES = MESH.nodes[MESH.quads].mean(1)
 
 def fields():
     return {
-        "spline": mbd.FiberField(MESH, (5, 3)),
-        "linear": mbd.FiberField(MESH, (4, 2), degree=1),
-        "along": mbd.FiberField(MESH, (4, 1), degree=3),
-        "radial": mbd.FiberField(MESH, [[-0.2, 0, 0], [0, 0.02, 0], [0.2, 0, 0]], radius=0.3),
-        "filter": mbd.FiberField(MESH, "cells", radius=0.06),
+        "spline": mbd.fibers.FiberField(MESH, (5, 3)),
+        "linear": mbd.fibers.FiberField(MESH, (4, 2), degree=1),
+        "along": mbd.fibers.FiberField(MESH, (4, 1), degree=3),
+        "radial": mbd.fibers.FiberField(MESH, [[-0.2, 0, 0], [0, 0.02, 0], [0.2, 0, 0]], radius=0.3),
+        "filter": mbd.fibers.FiberField(MESH, "cells", radius=0.06),
     }
 
 
@@ -42,16 +42,18 @@ def test_gradients_are_those_of_the_values(name):
 
     def moved(step: float) -> torch.Tensor:
         nodes = MESH.nodes + torch.tensor([step, 0.5 * step, 0.0])
-        return mbd.FiberField(mbd.Mesh(nodes, quads=MESH.quads), given, radius=radius).values(p)[:, 0]
+        return mbd.fibers.FiberField(mbd.Mesh(nodes, quads=MESH.quads), given, radius=radius).values(p)[:, 0]
 
-    slope = mbd.FiberField(MESH, given, radius=radius).gradients(p)[:, 0] @ torch.tensor([1.0, 0.5, 0.0]).double()
+    slope = (
+        mbd.fibers.FiberField(MESH, given, radius=radius).gradients(p)[:, 0] @ torch.tensor([1.0, 0.5, 0.0]).double()
+    )
     one, two = ((moved(h) - moved(-h)) / (2.0 * h) for h in (1e-4, 2e-4))
     torch.testing.assert_close(slope, (4.0 * one - two) / 3.0, rtol=1e-7, atol=1e-8)
 
 
 def test_splines_hold_linear_fields():
     """Controls at the Greville places of a linear function make it, with its slope."""
-    field = mbd.FiberField(MESH, (5, 3), degree=2)
+    field = mbd.fibers.FiberField(MESH, (5, 3), degree=2)
     low, high = MIDDLES.amin(0), MIDDLES.amax(0)
     knots = [torch.tensor([0, 0, 0, 1, 2, 3, 3, 3.0]).double() / 3, torch.tensor([0, 0, 0, 1, 1, 1.0]).double()]
     places = [(t[1:-2] + t[2:-1]) / 2 for t in knots]
@@ -65,12 +67,12 @@ def test_splines_hold_linear_fields():
 @pytest.fixture(scope="module")
 def same():
     """A steered plate, and one with a part of its own for each cell."""
-    field = mbd.FiberField(MESH, (4, 3))
+    field = mbd.fibers.FiberField(MESH, (4, 3))
     generator = torch.Generator().manual_seed(3)
     angles = torch.randn(12, 2, generator=generator, dtype=torch.float64)
     thickness = 1e-3 * (1 + 0.3 * torch.rand(12, 2, generator=generator, dtype=torch.float64))
     ply = mbd.examples.carbon()
-    steered = mbd.SteeredLaminate(ply, angles, thickness, field)
+    steered = mbd.fibers.SteeredLaminate(ply, angles, thickness, field)
     parts = {}
     for k, (a, t) in enumerate(zip(field.values(angles), field.values(thickness), strict=True)):
         parts[f"c{k}"] = Plates(MESH, mbd.Laminate(ply, a, t), cells=[k])
@@ -109,11 +111,11 @@ def test_paths_of_fibers():
     """Concentric circles about a place turn by 1/r and keep their distance; rays from it the other way round."""
     mesh = mbd.mesh.rectangle(0.4, 0.2, cells=(40, 20))
     middle = mesh.nodes[mesh.quads].mean(1) - torch.tensor([0.0, -0.3, 0.0])
-    field = mbd.FiberField(mesh, (24, 12), degree=3)
+    field = mbd.fibers.FiberField(mesh, (24, 12), degree=3)
     ray, r = torch.atan2(middle[:, 1], middle[:, 0]), middle.norm(dim=1)
     W = torch.zeros(len(r), field.controls, dtype=torch.float64).scatter_(1, field.nearest, field.weights)
     controls = torch.linalg.lstsq(W, torch.stack([ray + math.pi / 2, ray], 1)).solution
-    laminate = mbd.SteeredLaminate(mbd.examples.carbon(), controls, 1e-3, field)
+    laminate = mbd.fibers.SteeredLaminate(mbd.examples.carbon(), controls, 1e-3, field)
     axes = torch.eye(3, dtype=torch.float64).expand(len(r), 3, 3)
     paths = laminate.paths(axes)
     torch.testing.assert_close(paths.curvature[:, 0], 1 / r, rtol=1e-3, atol=0)
@@ -124,37 +126,48 @@ def test_paths_of_fibers():
 
 PLY, ANGLES = mbd.examples.carbon(), mbd.deg([30, -30])
 REFUSED = {
-    "controls": (lambda: mbd.FiberField(MESH, 5), "two whole numbers"),
-    "few controls": (lambda: mbd.FiberField(MESH, (2, 2), degree=3), r"\(2, 2\); allowed: 1, or at least 4"),
-    "degree": (lambda: mbd.FiberField(MESH, (2, 2), degree=-1), "degree of a FiberField is -1"),
-    "radius": (lambda: mbd.FiberField(MESH, "cells", radius=0.0), "radius of a FiberField is 0.0"),
-    "far": (lambda: mbd.FiberField(MESH, [[9.0, 0, 0]], radius=0.1), "control point within the radius"),
-    "places": (lambda: mbd.FiberField(MESH, [["a", "b", "c"]], radius=0.1), "controls is"),
-    "word": (lambda: mbd.FiberField(MESH, "nodes", radius=0.1), "'nodes'; allowed: 'cells'"),
-    "axes": (lambda: mbd.FiberField(MESH, (3, 3), axes="xx"), "'xx'; allowed: two of x, y, z"),
-    "flat": (lambda: mbd.FiberField(MESH, (3, 3), axes="xz"), "no extent"),
-    "cells": (lambda: mbd.FiberField(MESH, (3, 3), cells=[32]), "0 to 31"),
-    "shape": (lambda: mbd.SteeredLaminate(PLY, torch.zeros(4, 2), 1e-3, mbd.FiberField(MESH, (3, 3))), "9 controls"),
-    "field": (lambda: mbd.SteeredLaminate(PLY, ANGLES, 1e-3, MESH), "allowed: a FiberField"),
+    "controls": (lambda: mbd.fibers.FiberField(MESH, 5), "two whole numbers"),
+    "few controls": (lambda: mbd.fibers.FiberField(MESH, (2, 2), degree=3), r"\(2, 2\); allowed: 1, or at least 4"),
+    "degree": (lambda: mbd.fibers.FiberField(MESH, (2, 2), degree=-1), "degree of a FiberField is -1"),
+    "radius": (lambda: mbd.fibers.FiberField(MESH, "cells", radius=0.0), "radius of a FiberField is 0.0"),
+    "far": (lambda: mbd.fibers.FiberField(MESH, [[9.0, 0, 0]], radius=0.1), "control point within the radius"),
+    "places": (lambda: mbd.fibers.FiberField(MESH, [["a", "b", "c"]], radius=0.1), "controls is"),
+    "word": (lambda: mbd.fibers.FiberField(MESH, "nodes", radius=0.1), "'nodes'; allowed: 'cells'"),
+    "axes": (lambda: mbd.fibers.FiberField(MESH, (3, 3), axes="xx"), "'xx'; allowed: two of x, y, z"),
+    "flat": (lambda: mbd.fibers.FiberField(MESH, (3, 3), axes="xz"), "no extent"),
+    "cells": (lambda: mbd.fibers.FiberField(MESH, (3, 3), cells=[32]), "0 to 31"),
+    "shape": (
+        lambda: mbd.fibers.SteeredLaminate(PLY, torch.zeros(4, 2), 1e-3, mbd.fibers.FiberField(MESH, (3, 3))),
+        "9 controls",
+    ),
+    "field": (lambda: mbd.fibers.SteeredLaminate(PLY, ANGLES, 1e-3, MESH), "allowed: a FiberField"),
     "thin": (
-        lambda: mbd.SteeredLaminate(PLY, ANGLES, torch.tensor([[1e-3, -1e-3]] * 9), mbd.FiberField(MESH, (3, 3))),
+        lambda: mbd.fibers.SteeredLaminate(
+            PLY, ANGLES, torch.tensor([[1e-3, -1e-3]] * 9), mbd.fibers.FiberField(MESH, (3, 3))
+        ),
         "thickness",
     ),
-    "degrees": (lambda: mbd.SteeredLaminate(PLY, [30.0, -30.0], 1e-3, mbd.FiberField(MESH, (3, 3))), "angles"),
+    "degrees": (
+        lambda: mbd.fibers.SteeredLaminate(PLY, [30.0, -30.0], 1e-3, mbd.fibers.FiberField(MESH, (3, 3))),
+        "angles",
+    ),
     "other mesh": (
-        lambda: Plates(mbd.mesh.rectangle(0.4, 0.1, cells=(8, 4)), steered(mbd.FiberField(MESH, (3, 3)))),
+        lambda: Plates(mbd.mesh.rectangle(0.4, 0.1, cells=(8, 4)), steered(mbd.fibers.FiberField(MESH, (3, 3)))),
         "allowed: the mesh of the body",
     ),
-    "other cells": (lambda: Plates(MESH, steered(mbd.FiberField(MESH, (3, 3), cells=range(16)))), "is for 16 cells"),
+    "other cells": (
+        lambda: Plates(MESH, steered(mbd.fibers.FiberField(MESH, (3, 3), cells=range(16)))),
+        "is for 16 cells",
+    ),
     "parameter": (
-        lambda: mbd.SteeredLaminate(PLY, torch.nn.Parameter(ANGLES), 1e-3, mbd.FiberField(MESH, (3, 3))),
+        lambda: mbd.fibers.SteeredLaminate(PLY, torch.nn.Parameter(ANGLES), 1e-3, mbd.fibers.FiberField(MESH, (3, 3))),
         "without an axis of controls",
     ),
 }
 
 
 def steered(field):
-    return mbd.SteeredLaminate(PLY, ANGLES, 1e-3, field)
+    return mbd.fibers.SteeredLaminate(PLY, ANGLES, 1e-3, field)
 
 
 @pytest.mark.parametrize("name", REFUSED)

@@ -18,7 +18,7 @@ def motion():
     return mbd.simulate(steered_arm(), 0.01, steps=4, designs={"arm.laminate.angles": angles})
 
 
-@pytest.mark.parametrize("kind", [mbd.FiberCurvature, mbd.FiberDivergence])
+@pytest.mark.parametrize("kind", [mbd.fibers.FiberCurvature, mbd.fibers.FiberDivergence])
 def test_norms_bound_the_largest(motion, kind):
     exact = kind("arm")(motion)
     assert exact[0] > 1.0
@@ -34,13 +34,13 @@ def test_straight_fibers_have_gradients(motion):
     """Finite ones, where nothing turns."""
     straight = mbd.simulate(steered_arm(), 0.01, steps=4)
     for power in (None, 20.0):
-        assert mbd.FiberCurvature("arm", power).value_and_gradient(straight)[1].isfinite().all()
+        assert mbd.fibers.FiberCurvature("arm", power).value_and_gradient(straight)[1].isfinite().all()
 
 
 @pytest.mark.thorough
 def test_refused():
     straight = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
     with refused("body", "arm"):
-        mbd.FiberCurvature("arm")(straight)
+        mbd.fibers.FiberCurvature("arm")(straight)
     with refused("power", 1.0):
-        mbd.FiberDivergence("arm", power=1.0)
+        mbd.fibers.FiberDivergence("arm", power=1.0)

@@ -59,5 +59,7 @@ def fit(
     channels: Mapping[str, tuple[Any, Any, Any, Curve]], numbers: Mapping[str, float], unit: str = "", **arguments: Any
 ):
     """Fit the unknowns of channels; unit: of all channels, in brackets."""
-    experiment = mbd.Experiment(mbd.examples.pendulum(), ClosedForm(channels, numbers, unit), duration=1.0)
-    return mbd.identify(experiment, **arguments)
+    experiment = mbd.identification.Experiment(
+        mbd.examples.pendulum(), ClosedForm(channels, numbers, unit), duration=1.0
+    )
+    return mbd.identification.identify(experiment, **arguments)

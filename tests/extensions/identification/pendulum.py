@@ -48,11 +48,16 @@ def data(noise: float = 0.0, seed: int = 0, **changes: Any) -> dict[str, np.ndar
     return result | changes
 
 
-def experiment(numbers: dict[str, np.ndarray], start: float = 1.3, **channels: Any) -> mbd.Experiment:
+def experiment(numbers: dict[str, np.ndarray], start: float = 1.3, **channels: Any) -> mbd.identification.Experiment:
     """An experiment of a model that is off by a factor `start`."""
     model = system(1.2 * start, 2.0 / start, 0.15 * start)
-    of_channels = channels or {"angle": mbd.Channel(ANGLE, deviation=1e-3), "force": mbd.Channel(FORCE, deviation=1e-2)}
-    return mbd.Experiment(model, mbd.TimeSeries(numbers, of_channels), steps=STEPS, duration=1.0)
+    of_channels = channels or {
+        "angle": mbd.identification.Channel(ANGLE, deviation=1e-3),
+        "force": mbd.identification.Channel(FORCE, deviation=1e-2),
+    }
+    return mbd.identification.Experiment(
+        model, mbd.identification.TimeSeries(numbers, of_channels), steps=STEPS, duration=1.0
+    )
 
 
 def pushed(stiffness: float = 2.0) -> mbd.System:

@@ -80,4 +80,4 @@ def test_a_channel_without_freedoms_leaves_the_others_alone():
 def test_profile_without_freedoms_has_no_end():
     result = fit({"y": (np.ones(1), np.ones(1), None, line)}, SHARED)
     assert result.profile("k") == (-np.inf, np.inf)
-    assert isinstance(result, mbd.Identification)
+    assert isinstance(result, mbd.identification.Identification)

@@ -365,7 +365,7 @@ def test_the_rig_of_the_tutorial(tmp_path, monkeypatch, compiled):
 
     _, result = load(CONFIG)
     assert isinstance(result, IdentificationPlan)
-    fit = mbd.identify(result.experiments, validation=result.validation, **result.arguments)
+    fit = mbd.identification.identify(result.experiments, validation=result.validation, **result.arguments)
     for name, truth in (TRUTH | {"release_40.angle.delay": DELAY}).items():
         k = fit.names.index(f"{name}[0]")
         assert abs(fit.x[k] - truth) < 3.0 * fit.deviation[k], name

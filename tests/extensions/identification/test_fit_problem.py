@@ -11,7 +11,7 @@ from tests.refused import refused
 from torchmbd.extensions.identification.fit_problem import FitProblem
 
 
-def swing(**options) -> mbd.Experiment:
+def swing(**options) -> mbd.identification.Experiment:
     return pendulum.experiment(pendulum.data(), **options)
 
 
@@ -51,7 +51,7 @@ def test_a_design_that_cannot_be_has_a_status_and_the_others_their_numbers():
 def test_more_unknowns_than_numbers_are_refused():
     """Gaps are no numbers, and constants no unknowns."""
     few = {"t": np.array([0.1, 0.2, 0.3]), "angle": np.array([0.1, np.nan, 0.2])}
-    experiment = pendulum.experiment(few, angle=mbd.Channel(pendulum.ANGLE, deviation=0.1))
+    experiment = pendulum.experiment(few, angle=mbd.identification.Channel(pendulum.ANGLE, deviation=0.1))
     with refused("unknowns"):
         FitProblem({"swing": experiment}, pendulum.UNKNOWNS)
     assert FitProblem({"swing": experiment}, pendulum.UNKNOWNS, priors={"bob.mass": (1.0, 0.1)}).data == 2
@@ -82,16 +82,16 @@ def test_bad_input_is_named(arguments, path):
 
 
 def test_an_unknown_that_an_experiment_sets():
-    series = mbd.TimeSeries(pendulum.data(), {"angle": pendulum.ANGLE})
-    experiment = mbd.Experiment(pendulum.system(), series, {"bob.mass": 1.0})
+    series = mbd.identification.TimeSeries(pendulum.data(), {"angle": pendulum.ANGLE})
+    experiment = mbd.identification.Experiment(pendulum.system(), series, {"bob.mass": 1.0})
     with refused("unknowns.bob.mass"):
         FitProblem({"swing": experiment}, ["bob.mass"])
 
 
 def test_more_unknowns_than_numbers():
     t = np.array([0.1, 0.2])
-    series = mbd.TimeSeries({"t": t, "angle": t}, {"angle": pendulum.ANGLE})
-    experiment = mbd.Experiment(pendulum.system(), series)
+    series = mbd.identification.TimeSeries({"t": t, "angle": t}, {"angle": pendulum.ANGLE})
+    experiment = mbd.identification.Experiment(pendulum.system(), series)
     with refused("unknowns"):
         FitProblem({"swing": experiment}, pendulum.UNKNOWNS)
 
@@ -99,16 +99,16 @@ def test_more_unknowns_than_numbers():
 @pytest.mark.thorough
 def test_a_held_out_channel_has_no_unknown_of_its_own():
     problem = FitProblem({"swing": swing()}, pendulum.UNKNOWNS)
-    other = swing(angle=mbd.Channel(pendulum.ANGLE, gain=mbd.variable(1.0)))
+    other = swing(angle=mbd.identification.Channel(pendulum.ANGLE, gain=mbd.variable(1.0)))
     with refused("validation.other", "angle.gain"):
         problem.held_out({"other": other})
 
 
 def test_sensors_of_a_system_without_parameters():
     """Two designs of a delay, one motion."""
-    channel = mbd.Channel(mbd.Position("bob", "x"), deviation=1.0, delay=mbd.variable(0.0))
-    series = mbd.TimeSeries({"t": np.linspace(0.05, 0.2, 9), "x": np.zeros(9)}, {"x": channel})
-    experiment = mbd.Experiment(mbd.examples.pendulum(), series, steps=10, duration=0.3)
+    channel = mbd.identification.Channel(mbd.Position("bob", "x"), deviation=1.0, delay=mbd.variable(0.0))
+    series = mbd.identification.TimeSeries({"t": np.linspace(0.05, 0.2, 9), "x": np.zeros(9)}, {"x": channel})
+    experiment = mbd.identification.Experiment(mbd.examples.pendulum(), series, steps=10, duration=0.3)
     problem = FitProblem({"swing": experiment}, [], {"x.delay": (-0.05, 0.05)})
     first, second = problem.evaluate(np.array([[0.0], [1e-4]]), True)
     assert (second.values < first.values).all()

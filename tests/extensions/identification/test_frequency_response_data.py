@@ -32,8 +32,10 @@ def receptances(**numbers: float) -> dict[str, np.ndarray]:
 def test_the_numbers_of_the_model(form):
     model = pendulum.row()
     push, outputs = ports(model)
-    data = mbd.FrequencyResponseData(receptances(), push, outputs, form=form)
-    problem = mbd.identify(mbd.Experiment(model, data), ["first.damping"], max_evaluations=1)
+    data = mbd.identification.FrequencyResponseData(receptances(), push, outputs, form=form)
+    problem = mbd.identification.identify(
+        mbd.identification.Experiment(model, data), ["first.damping"], max_evaluations=1
+    )
     assert max(x.rms for x in problem.channels) < 1e-12
 
 
@@ -47,8 +49,8 @@ def test_stiffness_and_damping_are_found(form):
     for name in outputs:
         numbers[name] = numbers[name] * (1.0 + 0.01 * (rng.standard_normal(5) + 1j * rng.standard_normal(5)))
     deviation = {name: 0.01 if form == "polar" else 0.01 * np.abs(numbers[name]) for name in outputs}
-    data = mbd.FrequencyResponseData(numbers, push, outputs, form=form, deviation=deviation)
-    fit = mbd.identify(mbd.Experiment(model, data), pendulum.ROW_UNKNOWNS)
+    data = mbd.identification.FrequencyResponseData(numbers, push, outputs, form=form, deviation=deviation)
+    fit = mbd.identification.identify(mbd.identification.Experiment(model, data), pendulum.ROW_UNKNOWNS)
     assert fit.converged
     for value, (low, high) in zip((8e3, 5e3, 6.0, 3.0), fit.interval, strict=True):
         assert low < value < high
@@ -68,12 +70,12 @@ def test_files_of_both_forms(tmp_path):
         }
     polar["b magnitude"] = np.where(np.arange(5) == 2, np.nan, polar["b magnitude"])
     pd.DataFrame(polar).to_csv(tmp_path / "rig.csv", index=False)
-    data = mbd.FrequencyResponseData(tmp_path / "rig.csv", push, outputs, form="polar")
+    data = mbd.identification.FrequencyResponseData(tmp_path / "rig.csv", push, outputs, form="polar")
     assert [len(block.measured) for block in data.blocks] == [5, 5, 4, 4]
     np.testing.assert_allclose(data.measured["a"], numbers["a"])
     np.testing.assert_allclose(data.f, F)
     split = pd.DataFrame({"f": F} | {f"a {part}": getattr(numbers["a"], part[:4]) for part in ("real", "imaginary")})
-    one = mbd.FrequencyResponseData(split, push, {"a": outputs["a"]}, frequency="f")
+    one = mbd.identification.FrequencyResponseData(split, push, {"a": outputs["a"]}, frequency="f")
     np.testing.assert_allclose(one.measured["a"], numbers["a"])
 
 
@@ -104,19 +106,23 @@ def test_bad_input_is_named(change, fault):
     push, outputs = ports(pendulum.row())
     arguments = {"data": receptances(), "input": push, "outputs": outputs} | change
     with refused(*fault):
-        mbd.FrequencyResponseData(**arguments)
+        mbd.identification.FrequencyResponseData(**arguments)
 
 
 def test_a_response_may_be_zero_but_in_a_logarithm():
     push, outputs = ports(pendulum.row())
     zero = receptances() | {"a": np.zeros(5, complex)}
-    assert [len(block.measured) for block in mbd.FrequencyResponseData(zero, push, outputs).blocks] == [5] * 4
+    assert [len(block.measured) for block in mbd.identification.FrequencyResponseData(zero, push, outputs).blocks] == [
+        5
+    ] * 4
 
 
 def test_signals_of_another_system_are_refused():
     push, outputs = ports(pendulum.row())
     with refused("forces.inputs and outputs"):
-        mbd.Experiment(pendulum.row(), mbd.FrequencyResponseData(receptances(), push, outputs))
+        mbd.identification.Experiment(
+            pendulum.row(), mbd.identification.FrequencyResponseData(receptances(), push, outputs)
+        )
 
 
 @pytest.mark.parametrize(
@@ -132,4 +138,4 @@ def test_outputs_of_several_numbers_need_a_direction(pick, path):
     push, outputs = ports(model)
     point = mbd.signals.PointPosition(model.joints[0].b.body.at())
     with refused(path):
-        mbd.FrequencyResponseData(receptances(), push, outputs | {"a": pick(outputs["a"], point)})
+        mbd.identification.FrequencyResponseData(receptances(), push, outputs | {"a": pick(outputs["a"], point)})

@@ -15,17 +15,17 @@ from tests.refused import refused
 pytestmark = pytest.mark.thorough
 
 
-def channels(noise: float = 0.01) -> dict[str, mbd.Channel]:
+def channels(noise: float = 0.01) -> dict[str, mbd.identification.Channel]:
     numbers = pendulum.data()
     return {
-        name: mbd.Channel(response, deviation=noise * numbers[name].std())
+        name: mbd.identification.Channel(response, deviation=noise * numbers[name].std())
         for name, response in (("angle", pendulum.ANGLE), ("force", pendulum.FORCE))
     }
 
 
 @cache
-def fit_of_noise() -> mbd.Identification:
-    return mbd.identify(pendulum.experiment(pendulum.data(0.01), **channels()), pendulum.UNKNOWNS)
+def fit_of_noise() -> mbd.identification.Identification:
+    return mbd.identification.identify(pendulum.experiment(pendulum.data(0.01), **channels()), pendulum.UNKNOWNS)
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_a_channel_that_contradicts_the_other_is_seen_when_left_out():
     """The force is shown 5 % too large."""
     numbers = pendulum.data(0.01)
     numbers["force"] = 1.05 * numbers["force"]
-    wrong = mbd.identify(pendulum.experiment(numbers, **channels()), pendulum.UNKNOWNS)
+    wrong = mbd.identification.identify(pendulum.experiment(numbers, **channels()), pendulum.UNKNOWNS)
     assert wrong.leave_one_out().loc["force"].abs().max() > 10.0
 
 
@@ -70,7 +70,7 @@ def test_leaving_one_out_is_linear_in_a_linear_problem(fit):
     """Against a fit without the channel."""
     numbers, kept = pendulum.data(0.01), channels()
     del kept["angle"]
-    alone = mbd.identify(pendulum.experiment(numbers, **kept), pendulum.UNKNOWNS)
+    alone = mbd.identification.identify(pendulum.experiment(numbers, **kept), pendulum.UNKNOWNS)
     moves = fit.leave_one_out().loc["angle"].to_numpy() * fit.deviation
     np.testing.assert_allclose(moves, alone.x - fit.x, rtol=0.2, atol=0.1 * np.abs(alone.x - fit.x).max())
 
@@ -81,8 +81,10 @@ def test_what_only_the_channel_left_out_sees_stays(fit):
 
 
 def test_a_fit_that_has_not_ended_claims_no_intervals():
-    shown = {"angle": mbd.Channel(pendulum.ANGLE)}
-    fit = mbd.identify(pendulum.experiment(pendulum.data(0.01), **shown), pendulum.UNKNOWNS, max_evaluations=2)
+    shown = {"angle": mbd.identification.Channel(pendulum.ANGLE)}
+    fit = mbd.identification.identify(
+        pendulum.experiment(pendulum.data(0.01), **shown), pendulum.UNKNOWNS, max_evaluations=2
+    )
     assert fit.status == "max_evaluations"
     assert "cannot see" not in str(fit)
     assert "+-" not in str(fit)
@@ -91,15 +93,15 @@ def test_a_fit_that_has_not_ended_claims_no_intervals():
 
 def test_delay_gain_and_offset_are_recovered(compiled):
     late = {
-        "angle": mbd.Channel(
+        "angle": mbd.identification.Channel(
             pendulum.ANGLE, deviation=1e-4, delay=mbd.variable(0.0), gain=mbd.variable(1.0), offset=mbd.variable(0.0)
         ),
-        "force": mbd.Channel(pendulum.FORCE, deviation=1e-3),
+        "force": mbd.identification.Channel(pendulum.FORCE, deviation=1e-3),
     }
     t = pendulum.TIMES[5:]
     numbers = {"t": t, "angle": 1.3 * pendulum.shown(pendulum.ANGLE, t - 0.023) + 0.04}
     numbers["force"] = pendulum.shown(pendulum.FORCE, t)
-    fit = mbd.identify(
+    fit = mbd.identification.identify(
         pendulum.experiment(numbers, start=1.1, **late), pendulum.UNKNOWNS, bounds={"angle.delay": (-0.05, 0.05)}
     )
     result = [fit["angle.delay"], fit["angle.gain"], fit["angle.offset"], *(fit[name] for name in pendulum.UNKNOWNS)]
@@ -113,8 +115,12 @@ def test_a_combination_that_is_not_seen_is_named(compiled):
     truth = pendulum.system()
     truth.bodies[0].inertia.data *= 1e-9
     y = pendulum.shown(pendulum.ANGLE, pendulum.TIMES, truth)
-    series = mbd.TimeSeries({"t": pendulum.TIMES, "angle": y}, {"angle": mbd.Channel(pendulum.ANGLE, deviation=1e-4)})
-    fit = mbd.identify(mbd.Experiment(model, series, steps=pendulum.STEPS, duration=1.0), pendulum.UNKNOWNS)
+    series = mbd.identification.TimeSeries(
+        {"t": pendulum.TIMES, "angle": y}, {"angle": mbd.identification.Channel(pendulum.ANGLE, deviation=1e-4)}
+    )
+    fit = mbd.identification.identify(
+        mbd.identification.Experiment(model, series, steps=pendulum.STEPS, duration=1.0), pendulum.UNKNOWNS
+    )
     assert [x.words for x in fit.unseen] == ["bob.mass, spring.stiffness and spring.damping only up to a common factor"]
     assert np.isinf(fit.deviation).all()
     assert "the data cannot see it alone" in repr(fit)
@@ -128,8 +134,8 @@ def test_outliers(compiled, loss):
     numbers = pendulum.data(0.01)
     numbers["angle"][::9] += 1.0
     experiment = pendulum.experiment(numbers, start=1.1, **channels())
-    plain = mbd.identify(experiment, pendulum.UNKNOWNS)
-    robust = mbd.identify(experiment, pendulum.UNKNOWNS, loss=loss)
+    plain = mbd.identification.identify(experiment, pendulum.UNKNOWNS)
+    robust = mbd.identification.identify(experiment, pendulum.UNKNOWNS, loss=loss)
     error = [np.abs(fit.x / np.array([*pendulum.TRUTH.values()]) - 1.0).max() for fit in (plain, robust)]
     assert error[0] > 0.2
     assert error[1] < 0.05
@@ -142,10 +148,15 @@ def test_deviations_that_are_not_given_are_estimated(compiled):
     rng = np.random.default_rng(2)
     numbers["angle"] = numbers["angle"] + 2e-3 * rng.standard_normal(60)
     numbers["force"] = numbers["force"] + 0.3 * rng.standard_normal(60)
-    fit = mbd.identify(pendulum.experiment(numbers, 1.1, angle=pendulum.ANGLE, force=pendulum.FORCE), pendulum.UNKNOWNS)
+    fit = mbd.identification.identify(
+        pendulum.experiment(numbers, 1.1, angle=pendulum.ANGLE, force=pendulum.FORCE), pendulum.UNKNOWNS
+    )
     assert [x.deviation for x in fit.channels] == pytest.approx([2e-3, 0.3], rel=0.25)
-    given = {"angle": mbd.Channel(pendulum.ANGLE, deviation=2e-3), "force": mbd.Channel(pendulum.FORCE, deviation=0.3)}
-    known = mbd.identify(pendulum.experiment(numbers, 1.1, **given), pendulum.UNKNOWNS)
+    given = {
+        "angle": mbd.identification.Channel(pendulum.ANGLE, deviation=2e-3),
+        "force": mbd.identification.Channel(pendulum.FORCE, deviation=0.3),
+    }
+    known = mbd.identification.identify(pendulum.experiment(numbers, 1.1, **given), pendulum.UNKNOWNS)
     np.testing.assert_allclose(fit.deviation, known.deviation, rtol=0.25)
     assert (np.abs(fit.x - known.x) < 0.3 * known.deviation).all()
 
@@ -156,17 +167,19 @@ def test_held_out_data(compiled):
     for mass in (1.2, 2.0):
         rng = np.random.default_rng(int(10 * mass))
         y = pendulum.shown(pendulum.ANGLE, pendulum.TIMES, pendulum.system(mass)) + 1e-3 * rng.standard_normal(60)
-        series = mbd.TimeSeries(
-            {"t": pendulum.TIMES, "angle": y}, {"angle": mbd.Channel(pendulum.ANGLE, deviation=1e-3)}
+        series = mbd.identification.TimeSeries(
+            {"t": pendulum.TIMES, "angle": y}, {"angle": mbd.identification.Channel(pendulum.ANGLE, deviation=1e-3)}
         )
         experiments.append(
-            mbd.Experiment(pendulum.system(1.2, 1.6, 0.12), series, {"bob.mass": mass}, steps=40, duration=1.0)
+            mbd.identification.Experiment(
+                pendulum.system(1.2, 1.6, 0.12), series, {"bob.mass": mass}, steps=40, duration=1.0
+            )
         )
     unknowns = ["spring.stiffness", "spring.damping"]
-    fit = mbd.identify(experiments[:1], unknowns, validation=experiments[1:])
+    fit = mbd.identification.identify(experiments[:1], unknowns, validation=experiments[1:])
     [held_out] = fit.validation
     assert held_out.chi_square < 3.0
-    wrong = mbd.identify(experiments[:1], unknowns[1:], validation=experiments[1:])
+    wrong = mbd.identification.identify(experiments[:1], unknowns[1:], validation=experiments[1:])
     assert wrong.validation[0].chi_square > 5.0
     assert "held out: angle" in repr(fit)
 
@@ -174,8 +187,10 @@ def test_held_out_data(compiled):
 def test_priors_hold_what_the_data_do_not_see(compiled):
     numbers = pendulum.data(0.01)
     kept = {"angle": channels()["angle"]}
-    free = mbd.identify(pendulum.experiment(numbers, 1.1, **kept), pendulum.UNKNOWNS)
-    prior = mbd.identify(pendulum.experiment(numbers, 1.1, **kept), pendulum.UNKNOWNS, priors={"bob.mass": (1.2, 0.01)})
+    free = mbd.identification.identify(pendulum.experiment(numbers, 1.1, **kept), pendulum.UNKNOWNS)
+    prior = mbd.identification.identify(
+        pendulum.experiment(numbers, 1.1, **kept), pendulum.UNKNOWNS, priors={"bob.mass": (1.2, 0.01)}
+    )
     assert prior.deviation[0] <= 0.01 < free.deviation[0]
     assert abs(prior["bob.mass"] - 1.2) < 0.03
 
@@ -195,7 +210,9 @@ def test_many_starts_are_batches(compiled):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(FitProblem, "evaluate", counted)
-        fit = mbd.identify(experiment, pendulum.UNKNOWNS, bounds=bounds, starts=mbd.sobol(4, seed=1))
+        fit = mbd.identification.identify(
+            experiment, pendulum.UNKNOWNS, bounds=bounds, starts=mbd.optimization.sobol(4, seed=1)
+        )
     assert len(fit.starts) == 4
     assert [x.cost for x in fit.starts] == sorted(x.cost for x in fit.starts)
     assert batches[0] == 4
@@ -211,15 +228,15 @@ def test_failed_simulations_are_statuses(compiled):
         y = pendulum.ANGLE.values(motion)
         return torch.where(motion.designs["bob.mass"][:, None] > 3.0, torch.nan, y)
 
-    channel = mbd.Channel(angle, deviation=1e-3)
+    channel = mbd.identification.Channel(angle, deviation=1e-3)
     experiment = pendulum.experiment(pendulum.data(0.01), 1.0, angle=channel, force=channels()["force"])
-    failed = mbd.identify(experiment, pendulum.UNKNOWNS, start={"bob.mass": 4.0})
+    failed = mbd.identification.identify(experiment, pendulum.UNKNOWNS, start={"bob.mass": 4.0})
     assert failed.status == "failed"
     assert failed.message.startswith("the start: failed: ")
     assert "failed" in repr(failed)
     with refused("result", "failed"):
         failed.to_frame()
-    far = mbd.identify(
+    far = mbd.identification.identify(
         experiment,
         pendulum.UNKNOWNS,
         starts=[[1.3, 1.5, 0.2], [4.0, 1.0, 0.1]],
@@ -241,22 +258,22 @@ def test_failed_simulations_are_statuses(compiled):
 )
 def test_bad_input_is_named(arguments, path):
     with refused(path):
-        mbd.identify(pendulum.experiment(pendulum.data()), pendulum.UNKNOWNS, **arguments)
+        mbd.identification.identify(pendulum.experiment(pendulum.data()), pendulum.UNKNOWNS, **arguments)
 
 
 def test_experiments_of_another_kind():
     for wrong in (3, [], {}, "x", [3]):
         with refused("experiments"):
-            mbd.identify(wrong, ["x"])
+            mbd.identification.identify(wrong, ["x"])
 
 
 def test_an_unknown_with_equal_bounds_is_a_constant():
     """Deviations of the others are those of a fit in which it is none, and no combination with it is unseen."""
     numbers = pendulum.data(0.01)
-    held = mbd.identify(
+    held = mbd.identification.identify(
         pendulum.experiment(numbers, 1.0), pendulum.UNKNOWNS, bounds={"bob.mass": (1.2, 1.2)}, tolerance=1e-9
     )
-    without = mbd.identify(pendulum.experiment(numbers, 1.0), pendulum.UNKNOWNS[1:], tolerance=1e-9)
+    without = mbd.identification.identify(pendulum.experiment(numbers, 1.0), pendulum.UNKNOWNS[1:], tolerance=1e-9)
     np.testing.assert_allclose(held.deviation[1:], without.deviation, rtol=1e-6)
     assert held.deviation[0] == 0.0
     assert held.freedoms == without.freedoms

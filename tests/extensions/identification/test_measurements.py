@@ -32,9 +32,11 @@ def richardson(problem: FitProblem, x: np.ndarray, size: np.ndarray, h: float = 
 def time_series() -> FitProblem:
     """Angle, acceleration and force with unknown delay, gain and offset; a delay that two channels share; a prior."""
     delay = mbd.variable(0.011)
-    late = mbd.Channel(pendulum.ANGLE, deviation=0.1, delay=delay, gain=mbd.variable(1.1), offset=mbd.variable(0.03))
-    force = mbd.Channel(pendulum.FORCE, deviation=1.0, delay=delay)
-    sway = mbd.Channel(mbd.Acceleration("bob", "x"), deviation=1.0, delay=mbd.variable(-0.013), gain=1.2)
+    late = mbd.identification.Channel(
+        pendulum.ANGLE, deviation=0.1, delay=delay, gain=mbd.variable(1.1), offset=mbd.variable(0.03)
+    )
+    force = mbd.identification.Channel(pendulum.FORCE, deviation=1.0, delay=delay)
+    sway = mbd.identification.Channel(mbd.Acceleration("bob", "x"), deviation=1.0, delay=mbd.variable(-0.013), gain=1.2)
     numbers = pendulum.data() | {"sway": np.where(np.arange(60) % 7, 0.1, np.nan)}
     experiment = pendulum.experiment(numbers, angle=late, force=force, sway=sway)
     bounds = {"angle.delay": (0.0, 0.04), "sway.delay": (-0.05, 0.0)}
@@ -46,17 +48,21 @@ def static_curve() -> FitProblem:
     push = np.array([-2.0, -1.0, 0.0, 1.5, 4.0])
     numbers = {"F": push, "angle": 0.1 * push, "force": np.array([1.0, 2.0, np.nan, 3.0, 4.0])}
     channels = {
-        "angle": mbd.Channel(pendulum.ANGLE, deviation=0.1, gain=mbd.variable(1.1), offset=mbd.variable(0.02)),
-        "force": mbd.Channel(pendulum.FORCE, deviation=1.0, gain=2.0),
+        "angle": mbd.identification.Channel(
+            pendulum.ANGLE, deviation=0.1, gain=mbd.variable(1.1), offset=mbd.variable(0.02)
+        ),
+        "force": mbd.identification.Channel(pendulum.FORCE, deviation=1.0, gain=2.0),
     }
-    curve = mbd.StaticCurve(numbers, {"push.x": "F"}, channels)
-    return FitProblem({"pushed": mbd.Experiment(pendulum.pushed(), curve)}, ["spring.stiffness", "bob.mass"])
+    curve = mbd.identification.StaticCurve(numbers, {"push.x": "F"}, channels)
+    return FitProblem(
+        {"pushed": mbd.identification.Experiment(pendulum.pushed(), curve)}, ["spring.stiffness", "bob.mass"]
+    )
 
 
 def modal_data() -> FitProblem:
     """Two masses in a row: frequencies and damping ratios of both modes, which shapes pair."""
-    data = mbd.ModalData([10.0, 20.0], [0.02, 0.03], [[1.0, 1.0], [1.2, -0.9]], pendulum.ROW_SENSORS)
-    return FitProblem({"row": mbd.Experiment(pendulum.row(), data)}, pendulum.ROW_UNKNOWNS)
+    data = mbd.identification.ModalData([10.0, 20.0], [0.02, 0.03], [[1.0, 1.0], [1.2, -0.9]], pendulum.ROW_SENSORS)
+    return FitProblem({"row": mbd.identification.Experiment(pendulum.row(), data)}, pendulum.ROW_UNKNOWNS)
 
 
 def frequency_response(form: str, quantity: str) -> FitProblem:
@@ -69,8 +75,12 @@ def frequency_response(form: str, quantity: str) -> FitProblem:
     outputs |= {"tip": (mbd.signals.PointPosition(bob.at(0.1, -0.2, 0.0)), "x")}
     push = mbd.signals.ForceOn(bob.at(0.0, -0.2, 0.0), "x")
     deviation = dict.fromkeys(outputs, 0.1)
-    measured = mbd.FrequencyResponseData(data, push, outputs, form=form, quantity=quantity, deviation=deviation)
-    return FitProblem({"pushed": mbd.Experiment(model, measured, settings={"push.x": 3.0})}, pendulum.UNKNOWNS)
+    measured = mbd.identification.FrequencyResponseData(
+        data, push, outputs, form=form, quantity=quantity, deviation=deviation
+    )
+    return FitProblem(
+        {"pushed": mbd.identification.Experiment(model, measured, settings={"push.x": 3.0})}, pendulum.UNKNOWNS
+    )
 
 
 CASES = {

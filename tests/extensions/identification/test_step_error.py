@@ -34,10 +34,10 @@ def measured() -> dict[str, np.ndarray]:
     return {"t": t, "x": y + NOISE * np.random.default_rng(3).standard_normal(300)}
 
 
-def fitted(steps: int | None) -> mbd.Identification:
-    series = mbd.TimeSeries(measured(), {"x": mbd.Channel(X, deviation=NOISE)})
-    experiment = mbd.Experiment(oscillator(0.9 * OMEGA**2, 2.0), series, steps=steps, duration=1.0)
-    return mbd.identify(experiment, ["spring.stiffness", "spring.damping"])
+def fitted(steps: int | None) -> mbd.identification.Identification:
+    series = mbd.identification.TimeSeries(measured(), {"x": mbd.identification.Channel(X, deviation=NOISE)})
+    experiment = mbd.identification.Experiment(oscillator(0.9 * OMEGA**2, 2.0), series, steps=steps, duration=1.0)
+    return mbd.identification.identify(experiment, ["spring.stiffness", "spring.damping"])
 
 
 TRUTH = np.array([OMEGA**2, 2.0 * BETA])

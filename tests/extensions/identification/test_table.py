@@ -79,7 +79,7 @@ def test_a_million_rows_are_read_once(tmp_path):
     file = tmp_path / "long.csv"
     pd.DataFrame({"t": t, "x": np.sin(t), "y": np.cos(t)}).to_csv(file, index=False, float_format="%.9g")
     tracemalloc.start()
-    series = mbd.TimeSeries(file, {"x": mbd.Position("bob", "x"), "y": mbd.Position("bob", "y")})
+    series = mbd.identification.TimeSeries(file, {"x": mbd.Position("bob", "x"), "y": mbd.Position("bob", "y")})
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert [len(block.measured) for block in series.blocks] == [1_000_000] * 2

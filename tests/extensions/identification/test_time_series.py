@@ -14,7 +14,7 @@ from torchmbd.extensions.identification.fit_problem import FitProblem
 TRUE = {"spring.stiffness": 2.0}
 
 
-def residuals_of(experiment: mbd.Experiment, **options) -> np.ndarray:
+def residuals_of(experiment: mbd.identification.Experiment, **options) -> np.ndarray:
     [residuals] = FitProblem({"swing": experiment}, ["spring.stiffness"], **options).evaluate(np.array([[2.0]]), False)
     return residuals.values
 
@@ -30,9 +30,9 @@ def test_sensors_are_late_scaled_and_shifted():
     """angle: 2 y(t - 0.02) + 0.1 in degrees."""
     t = pendulum.TIMES
     y = np.rad2deg(2.0 * pendulum.shown(pendulum.ANGLE, t - 0.02) + 0.1)
-    channel = mbd.Channel(pendulum.ANGLE, "y", "deg", 1e-3, delay=0.02, gain=2.0, offset=0.1)
-    series = mbd.TimeSeries({"time [ms]": 1e3 * t, "y": y}, {"angle": channel}, time="time")
-    experiment = mbd.Experiment(pendulum.system(), series, steps=pendulum.STEPS, duration=1.0)
+    channel = mbd.identification.Channel(pendulum.ANGLE, "y", "deg", 1e-3, delay=0.02, gain=2.0, offset=0.1)
+    series = mbd.identification.TimeSeries({"time [ms]": 1e3 * t, "y": y}, {"angle": channel}, time="time")
+    experiment = mbd.identification.Experiment(pendulum.system(), series, steps=pendulum.STEPS, duration=1.0)
     assert np.abs(residuals_of(experiment)).max() < 1e-9
 
 
@@ -41,15 +41,15 @@ def test_gaps_and_deviations_of_each_row():
     numbers = pendulum.data()
     numbers["force"][3:9] = np.nan
     deviation = np.linspace(0.1, 0.2, 60)
-    channels = {"force": mbd.Channel(pendulum.FORCE - 1.0, deviation=deviation)}
+    channels = {"force": mbd.identification.Channel(pendulum.FORCE - 1.0, deviation=deviation)}
     r = residuals_of(pendulum.experiment(numbers, 1.0, **channels))
     np.testing.assert_allclose(r, -1.0 / np.delete(deviation, slice(3, 9)), rtol=1e-9)
 
 
 def test_samples_that_a_delay_puts_outside_are_left_out_and_told():
-    channel = mbd.Channel(pendulum.ANGLE, deviation=1.0, delay=mbd.variable(0.0))
-    series = mbd.TimeSeries(pendulum.data(), {"angle": channel})
-    experiment = mbd.Experiment(pendulum.system(), series, steps=pendulum.STEPS)
+    channel = mbd.identification.Channel(pendulum.ANGLE, deviation=1.0, delay=mbd.variable(0.0))
+    series = mbd.identification.TimeSeries(pendulum.data(), {"angle": channel})
+    experiment = mbd.identification.Experiment(pendulum.system(), series, steps=pendulum.STEPS)
     problem = FitProblem({"swing": experiment}, ["spring.stiffness"], bounds={"angle.delay": (-0.1, 0.1)})
     [row] = problem.rows
     assert problem.experiments["swing"].duration == pytest.approx(1.0)  # 0.9 s and a delay of -0.1 s
@@ -60,8 +60,8 @@ def test_samples_that_a_delay_puts_outside_are_left_out_and_told():
 def test_a_link_bounds_a_delay():
     """The delay of one channel is twice that of the other."""
     channels = {
-        "angle": mbd.Channel(pendulum.ANGLE, deviation=1.0, delay=mbd.variable(0.0)),
-        "force": mbd.Channel(pendulum.FORCE, deviation=1.0, delay=mbd.variable(0.0)),
+        "angle": mbd.identification.Channel(pendulum.ANGLE, deviation=1.0, delay=mbd.variable(0.0)),
+        "force": mbd.identification.Channel(pendulum.FORCE, deviation=1.0, delay=mbd.variable(0.0)),
     }
     problem = FitProblem(
         {"swing": pendulum.experiment(pendulum.data(), 1.0, **channels)},
@@ -80,27 +80,30 @@ X = mbd.Position("bob", "x")
 @pytest.mark.parametrize(
     ("make", "path"),
     [
-        (lambda: mbd.TimeSeries({"t": [0.0, 2.0, 1.0], "x": [0, 0, 0]}, {"x": X}), "time"),
-        (lambda: mbd.TimeSeries({"t": [0.0, 0.0], "x": [0, 0]}, {"x": X}), "time"),
-        (lambda: mbd.TimeSeries({"t": [-0.1, 0.0], "x": [0, 0]}, {"x": X}), "time"),
-        (lambda: mbd.TimeSeries({"t": [0.0, np.nan], "x": [0, 0]}, {"x": X}), "time"),
-        (lambda: mbd.TimeSeries({"t": [], "x": []}, {"x": X}), "data"),
-        (lambda: mbd.TimeSeries({"t": [0.0], "x": [np.nan]}, {"x": X}), "channels.x"),
-        (lambda: mbd.TimeSeries({"t": [0.0], "x": [np.inf]}, {"x": X}), "channels.x"),
-        (lambda: mbd.TimeSeries(ROW, {"y": X}), "columns.y"),
-        (lambda: mbd.TimeSeries(ROW, {}), "channels"),
-        (lambda: mbd.TimeSeries(ROW, {"x": 3}), "channels.x"),
-        (lambda: mbd.TimeSeries({"t [mm]": [0.0], "x": [0.0]}, {"x": X}), "time"),
+        (lambda: mbd.identification.TimeSeries({"t": [0.0, 2.0, 1.0], "x": [0, 0, 0]}, {"x": X}), "time"),
+        (lambda: mbd.identification.TimeSeries({"t": [0.0, 0.0], "x": [0, 0]}, {"x": X}), "time"),
+        (lambda: mbd.identification.TimeSeries({"t": [-0.1, 0.0], "x": [0, 0]}, {"x": X}), "time"),
+        (lambda: mbd.identification.TimeSeries({"t": [0.0, np.nan], "x": [0, 0]}, {"x": X}), "time"),
+        (lambda: mbd.identification.TimeSeries({"t": [], "x": []}, {"x": X}), "data"),
+        (lambda: mbd.identification.TimeSeries({"t": [0.0], "x": [np.nan]}, {"x": X}), "channels.x"),
+        (lambda: mbd.identification.TimeSeries({"t": [0.0], "x": [np.inf]}, {"x": X}), "channels.x"),
+        (lambda: mbd.identification.TimeSeries(ROW, {"y": X}), "columns.y"),
+        (lambda: mbd.identification.TimeSeries(ROW, {}), "channels"),
+        (lambda: mbd.identification.TimeSeries(ROW, {"x": 3}), "channels.x"),
+        (lambda: mbd.identification.TimeSeries({"t [mm]": [0.0], "x": [0.0]}, {"x": X}), "time"),
         (
-            lambda: mbd.TimeSeries(ROW, {"x": mbd.Channel(X, unit="N")}),
+            lambda: mbd.identification.TimeSeries(ROW, {"x": mbd.identification.Channel(X, unit="N")}),
             "columns.x",
         ),
-        (lambda: mbd.TimeSeries(ROW, {"x": mbd.Channel(X, deviation=[1.0])}), "channels.x.deviation"),
-        (lambda: mbd.Channel(X, unit="parsec"), "unit"),
-        (lambda: mbd.Channel(X, deviation=0.0), "deviation"),
-        (lambda: mbd.Channel(X, delay="late"), "delay"),
-        (lambda: mbd.Channel("x"), "response"),
-        (lambda: mbd.Channel(mbd.Angle("bob", "z", wrapped=True)), "response"),
+        (
+            lambda: mbd.identification.TimeSeries(ROW, {"x": mbd.identification.Channel(X, deviation=[1.0])}),
+            "channels.x.deviation",
+        ),
+        (lambda: mbd.identification.Channel(X, unit="parsec"), "unit"),
+        (lambda: mbd.identification.Channel(X, deviation=0.0), "deviation"),
+        (lambda: mbd.identification.Channel(X, delay="late"), "delay"),
+        (lambda: mbd.identification.Channel("x"), "response"),
+        (lambda: mbd.identification.Channel(mbd.Angle("bob", "z", wrapped=True)), "response"),
     ],
 )  # fmt: skip
 def test_bad_input_is_named(make, path):
@@ -112,13 +115,13 @@ def test_times_that_do_not_increase_are_named_with_their_line(tmp_path):
     file = tmp_path / "run.csv"
     file.write_text("t,x\n0.0,1\n0.2,1\n0.1,1\n", encoding="utf-8")
     with refused("time", 0.1):
-        mbd.TimeSeries(file, {"x": X})
+        mbd.identification.TimeSeries(file, {"x": X})
 
 
 def test_a_channel_that_the_model_does_not_have():
-    series = mbd.TimeSeries(ROW, {"x": mbd.Position("bop", "x")})
+    series = mbd.identification.TimeSeries(ROW, {"x": mbd.Position("bop", "x")})
     with refused("channels.x.body", meant="bob"):
-        mbd.Experiment(pendulum.system(), series)
+        mbd.identification.Experiment(pendulum.system(), series)
 
 
 @pytest.mark.parametrize(
@@ -129,9 +132,9 @@ def test_a_channel_that_the_model_does_not_have():
     ],
 )
 def test_bounds_of_delays(bounds, path):
-    series = mbd.TimeSeries(ROW, {"x": mbd.Channel(X, delay=mbd.variable(0.0))})
+    series = mbd.identification.TimeSeries(ROW, {"x": mbd.identification.Channel(X, delay=mbd.variable(0.0))})
     with refused(path):
-        FitProblem({"swing": mbd.Experiment(pendulum.system(), series)}, [], bounds)
+        FitProblem({"swing": mbd.identification.Experiment(pendulum.system(), series)}, [], bounds)
 
 
 def test_arrays_that_cannot_be_written_are_read(recwarn):
@@ -140,6 +143,6 @@ def test_arrays_that_cannot_be_written_are_read(recwarn):
     y = np.sin(t)
     for x in (t, y):
         x.flags.writeable = False
-    series = mbd.TimeSeries({"t": t, "x": y}, {"x": mbd.Position("bob", "x")})
+    series = mbd.identification.TimeSeries({"t": t, "x": y}, {"x": mbd.Position("bob", "x")})
     torch.from_numpy(series.samples["x"].t)
     assert not [x for x in recwarn if "not writable" in str(x.message)]

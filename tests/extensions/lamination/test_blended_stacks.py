@@ -36,7 +36,7 @@ def half(angles: list[float]) -> list[float]:
 )
 def test_stacks_that_exist_are_found(stacks):
     zones = {name: asked(list(map(float, degrees))) for name, degrees in stacks.items()}
-    result = mbd.recover_blended_stacks(zones, {name: len(x) for name, x in stacks.items()}, QUARTERS)
+    result = mbd.lamination.recover_blended_stacks(zones, {name: len(x) for name, x in stacks.items()}, QUARTERS)
     for name, degrees in stacks.items():
         assert result[name].distance < 1e-9
         assert torch.tensor(result[name].angles).rad2deg().tolist() == pytest.approx(degrees)
@@ -50,7 +50,7 @@ def test_all_stacks_of_a_small_case():
     expected = {"a": [30, 60, -15, -15, 60, 30], "b": [10, 75, 75, 10], "c": [50, 50]}
     zones = {name: asked(list(map(float, degrees))) for name, degrees in expected.items()}
     plies, areas = {"a": 6, "b": 4, "c": 2}, {"a": 3.0, "b": 2.0, "c": 1.0}
-    result = mbd.recover_blended_stacks(zones, plies, allowed, areas=areas)
+    result = mbd.lamination.recover_blended_stacks(zones, plies, allowed, areas=areas)
     assert is_blended(half(result["b"].angles), half(result["a"].angles))
     assert is_blended(half(result["c"].angles), half(result["b"].angles))
 
@@ -75,11 +75,11 @@ def test_all_stacks_of_a_small_case():
 @pytest.mark.thorough
 def test_rules_of_every_zone():
     zones = {
-        name: mbd.LaminationParameters(mbd.examples.carbon(), n * 1e-4, [0.3, 0.2, 0, 0])
+        name: mbd.lamination.LaminationParameters(mbd.examples.carbon(), n * 1e-4, [0.3, 0.2, 0, 0])
         for name, n in (("a", 12), ("b", 8))
     }
-    rules = mbd.LaminationRules(symmetric=True, balanced=True)
-    result = mbd.recover_blended_stacks(zones, {"a": 12, "b": 8}, QUARTERS, rules)
+    rules = mbd.lamination.LaminationRules(symmetric=True, balanced=True)
+    result = mbd.lamination.recover_blended_stacks(zones, {"a": 12, "b": 8}, QUARTERS, rules)
     assert not result["a"].broken
     assert not result["b"].broken
     assert is_blended(half(result["b"].angles), half(result["a"].angles))
@@ -88,10 +88,10 @@ def test_rules_of_every_zone():
 def test_bad_input_is_named():
     carbon, flat = mbd.examples.carbon(), [0.0, 0.0, 0.0, 0.0]
     plain, coupled = (
-        mbd.LaminationParameters(carbon, 1e-3, flat),
-        mbd.LaminationParameters(carbon, 1e-3, flat, coupling=flat),
+        mbd.lamination.LaminationParameters(carbon, 1e-3, flat),
+        mbd.lamination.LaminationParameters(carbon, 1e-3, flat, coupling=flat),
     )
-    steel = mbd.LaminationParameters(mbd.Ply.isotropic(210e9, 0.3, 7850.0), 1e-3, flat)
+    steel = mbd.lamination.LaminationParameters(mbd.Ply.isotropic(210e9, 0.3, 7850.0), 1e-3, flat)
     for given, path in [
         (({}, {}), "laminates"),
         (({"a": plain}, {"b": 4}), "plies"),
@@ -102,10 +102,10 @@ def test_bad_input_is_named():
         (({"a": plain, "b": steel}, {"a": 4, "b": 4}), "laminates"),
     ]:
         with refused(path):
-            mbd.recover_blended_stacks(*given, QUARTERS)
+            mbd.lamination.recover_blended_stacks(*given, QUARTERS)
     with refused("a.area", -1.0):
-        mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, areas={"a": -1.0})
+        mbd.lamination.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, areas={"a": -1.0})
     with refused("seed", -1):
-        mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, seed=-1)
+        mbd.lamination.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, seed=-1)
     with refused("weights", 3.0):
-        mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, weights=3.0)
+        mbd.lamination.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, weights=3.0)

@@ -32,7 +32,7 @@ def parameters_of(angles: torch.Tensor, thickness: torch.Tensor) -> dict[str, to
 def test_stiffness_and_mass_are_those_of_the_stack():
     angles, t = torch.tensor([0.3, -1.2, 0.9, 0.1]).double(), torch.tensor([1e-3, 2e-3, 0.5e-3, 1e-3]).double()
     stack = mbd.Laminate(CARBON, angles, t, shear_correction=5 / 6)
-    own = mbd.LaminationParameters(CARBON, float(t.sum()), **parameters_of(angles, t))
+    own = mbd.lamination.LaminationParameters(CARBON, float(t.sum()), **parameters_of(angles, t))
     one, two = stack.stiffness(), own.stiffness()
     for name in ("A", "B", "D", "As"):
         scale = float(getattr(one, name).abs().max())
@@ -56,10 +56,10 @@ def test_frequencies_are_those_of_the_stack_also_by_fields():
     angles, t = mbd.deg([30.0, -50.0, -50.0, 30.0]), torch.full((4,), 5e-4, dtype=torch.float64)
     known = parameters_of(torch.as_tensor(angles), t)
     expected = squares(plate(mbd.Laminate(CARBON, angles, t, shear_correction=5 / 6), mesh))
-    own = mbd.LaminationParameters(CARBON, 2e-3, known["membrane"], known["bending"])
+    own = mbd.lamination.LaminationParameters(CARBON, 2e-3, known["membrane"], known["bending"])
     assert_close(squares(plate(own, mesh)), expected, rtol=1e-8, atol=0)
-    field = mbd.FiberField(mesh, (3, 2), degree=1)
-    varied = mbd.LaminationParameters(CARBON, [2e-3] * 6, known["membrane"], known["bending"], field=field)
+    field = mbd.fibers.FiberField(mesh, (3, 2), degree=1)
+    varied = mbd.lamination.LaminationParameters(CARBON, [2e-3] * 6, known["membrane"], known["bending"], field=field)
     assert [(name, tuple(x.shape)) for name, x in plate(varied, mesh).named_parameters()] == [
         ("laminate.membrane", (6, 4)),
         ("laminate.bending", (6, 4)),
@@ -69,7 +69,7 @@ def test_frequencies_are_those_of_the_stack_also_by_fields():
 
 
 def test_bending_follows_membrane_where_it_is_not_given():
-    own = mbd.LaminationParameters(CARBON, 2e-3, [0.1, 0.0, 0.2, 0.0])
+    own = mbd.lamination.LaminationParameters(CARBON, 2e-3, [0.1, 0.0, 0.2, 0.0])
     X = own.stiffness()
     assert_close(X.D, X.A * 2e-3**2 / 12)
     assert list(dict(own.named_parameters())) == ["membrane", "thickness"]
@@ -77,7 +77,7 @@ def test_bending_follows_membrane_where_it_is_not_given():
 
 def test_what_needs_plies_says_that_there_are_none():
     mesh = mbd.mesh.rectangle(0.4, 0.2, cells=(4, 2))
-    panel = plate(mbd.LaminationParameters(mbd.examples.carbon(), 2e-3, [0.0] * 4), mesh)
+    panel = plate(mbd.lamination.LaminationParameters(mbd.examples.carbon(), 2e-3, [0.0] * 4), mesh)
     system = mbd.System([panel], [mbd.Fixed(mbd.Ground().at(), panel.at("left_edge"), name="wall")])
     motion = mbd.simulate(system, 1e-3, steps=2)
     with refused("laminate"):
@@ -104,11 +104,13 @@ def test_what_needs_plies_says_that_there_are_none():
 def test_bad_input(options, words):
     given = {"ply": CARBON, "thickness": 2e-3} | options
     with pytest.raises(mbd.InputError) as result:
-        mbd.LaminationParameters(**given)
+        mbd.lamination.LaminationParameters(**given)
     assert words in str(result.value)
 
 
 def test_an_infeasible_control_is_named():
-    field = mbd.FiberField(mbd.mesh.rectangle(0.4, 0.2, cells=(4, 2)), (2, 1), degree=1)
+    field = mbd.fibers.FiberField(mbd.mesh.rectangle(0.4, 0.2, cells=(4, 2)), (2, 1), degree=1)
     with refused("membrane.1"):
-        mbd.LaminationParameters(CARBON, 2e-3, [[0.0] * 4, [0.0, 0.0, math.nextafter(1.1, 2), 0.0]], field=field)
+        mbd.lamination.LaminationParameters(
+            CARBON, 2e-3, [[0.0] * 4, [0.0, 0.0, math.nextafter(1.1, 2), 0.0]], field=field
+        )

@@ -24,8 +24,8 @@ AXIS = (np.sqrt(0.5), np.sqrt(0.5), 0.0)
 GAUSS = np.array([-1.0, 1.0]) / np.sqrt(3.0)
 
 
-def laminate() -> mbd.LaminationParameters:
-    return mbd.LaminationParameters(PLY, 5e-3, [0.6, 0.0, 0.6, 0.0], [0.6] * 4, checked=False)
+def laminate() -> mbd.lamination.LaminationParameters:
+    return mbd.lamination.LaminationParameters(PLY, 5e-3, [0.6, 0.0, 0.6, 0.0], [0.6] * 4, checked=False)
 
 
 def shapes(r: float, s: float) -> tuple[np.ndarray, np.ndarray]:

@@ -203,7 +203,7 @@ def test_what_meshio_loses_of_nastran_is_refused(tmp_path, old, new, words):
     with pytest.raises(InputError) as error:
         mesh_file(file)
     assert words in str(error.value)
-    assert "mbd.read_bdf" in str(error.value)
+    assert "mbd.io.read_bdf" in str(error.value)
 
 
 def test_physical_groups_of_gmsh(tmp_path):

@@ -29,14 +29,14 @@ def test_a_file_with_two_zones(tmp_path):
     file = tmp_path / "plate.inp"
     meshio.Mesh(PLATE.nodes.numpy() * 1e3, [("triangle", PLATE.triangles.numpy())], **sets).write(file)
     zones = {"left": GENERAL, "right": mbd.Laminate(CARBON, mbd.deg([20, -50, 75]), [1e-3, 2e-3, 1.5e-3])}
-    body = mbd.read_mesh(file, "plate", zones, 3, scale=1e-3, reference="root")
+    body = mbd.io.read_mesh(file, "plate", zones, 3, scale=1e-3, reference="root")
     assert [name for name, x in body.named_parameters() if x.requires_grad] == ["left.angles", "right.angles"]
     expected = mbd.FlexibleBody.plate("plate", PLATE, GENERAL, 3, reference="left_edge")
     assert_close(values(body), values(expected), rtol=1e-9, atol=0)
     with refused("zone", "rihgt", meant="right"):
-        mbd.read_mesh(file, "plate", {"left": GENERAL, "rihgt": GENERAL}, 3)
+        mbd.io.read_mesh(file, "plate", {"left": GENERAL, "rihgt": GENERAL}, 3)
     with refused("laminate", ANY, "11 others", "0 of the zones left"):
-        mbd.read_mesh(file, "plate", {"left": GENERAL}, 3)
+        mbd.io.read_mesh(file, "plate", {"left": GENERAL}, 3)
 
 
 def test_a_triangle_in_two_zones_is_refused():
@@ -50,4 +50,4 @@ def test_a_triangle_in_two_zones_is_refused():
 def test_without_meshio_the_message_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "meshio", None)
     with refused("path", ANY, "meshio", "pip install 'torchmbd[mesh]'"):
-        mbd.read_mesh(tmp_path / "x.msh", "plate", GENERAL)
+        mbd.io.read_mesh(tmp_path / "x.msh", "plate", GENERAL)

@@ -35,7 +35,7 @@ def frequencies(tmp_path):
     def made(*lines: str, modes: int = 2) -> list[float]:
         path = tmp_path / "model.bdf"
         path.write_text("\n".join(["BEGIN BULK", *HEAD, *lines, "ENDDATA"]))
-        body = mbd.read_bdf(path, "body", modes)
+        body = mbd.io.read_bdf(path, "body", modes)
         return torch.linalg.eigvalsh(body.structure()["Kr"].detach()).sqrt().tolist()
 
     return made
@@ -70,7 +70,7 @@ def test_offsets_along_and_different_at_the_ends(tmp_path):
     result = bulk_body(path)
     assert len(result.mesh.nodes) == CELLS + 2
     assert_close(result.mesh.nodes[-1], torch.tensor([1.05, 0.02, 0.0], dtype=torch.float64))
-    mass = float(mbd.read_bdf(path, "body", 2).structure()["mass"])
+    mass = float(mbd.io.read_bdf(path, "body", 2).structure()["mass"])
     length = 11 / 12 + math.hypot(1 / 12 + 0.05, 0.02)
     assert mass == pytest.approx(RHO * A * length)
 

@@ -110,7 +110,7 @@ def test_a_bar_of_solids(card, stiff, tmp_path):
     """First bending frequency of a clamped bar: bricks near Euler-Bernoulli, linear wedges and tetrahedra stiffer."""
     path = tmp_path / "model.bdf"
     path.write_text("\n".join(["BEGIN BULK", *brick_model(card), "ENDDATA"]))
-    body = mbd.read_bdf(path, "bar", modes=4)
+    body = mbd.io.read_bdf(path, "bar", modes=4)
     result = body.structure()
     assert float(result["mass"]) == pytest.approx(27.0)
     first = math.sqrt(float(torch.linalg.eigvalsh(result["Kr"])[0]))

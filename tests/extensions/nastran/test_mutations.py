@@ -75,12 +75,12 @@ def test_spoilt_decks(start, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         path.write_text(deck)
-        mbd.read_bdf(path, "plate", modes=2)
+        mbd.io.read_bdf(path, "plate", modes=2)
         for seed in range(start, start + 50):
             path.write_text(spoilt(deck, seed))
             began = time.process_time()
             try:
-                mbd.read_bdf(path, "plate", modes=2)
+                mbd.io.read_bdf(path, "plate", modes=2)
             except InputError:
                 refused += 1
             slowest = max(slowest, time.process_time() - began)

@@ -124,7 +124,7 @@ def test_mass_lies_where_the_laminate_lies(tmp_path):
     path, result = tmp_path / "model.bdf", []
     for cards in ("PSHELL,1,9,2.,9,,,,3.-9", "PSHELL,1,9,2.,9\nNSM,5,PSHELL,1,3.-9"):
         path.write_text(above + cards)
-        body = mbd.read_bdf(path, "b", modes=2, units="mm")
+        body = mbd.io.read_bdf(path, "b", modes=2, units="mm")
         M, _ = body.mass_and_stiffness()
         x = body.mesh.nodes.detach().numpy()
         rigid = np.zeros((len(x), 6, 6))

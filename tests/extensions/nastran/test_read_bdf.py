@@ -26,7 +26,7 @@ def body(tmp_path):
     def read(text: str, modes: int = 4, **given) -> mbd.FlexibleBody:
         file = tmp_path / "model.bdf"
         file.write_text(text)
-        return mbd.read_bdf(file, "plate", modes, **given)
+        return mbd.io.read_bdf(file, "plate", modes, **given)
 
     return read
 

@@ -29,7 +29,7 @@ def frequencies(tmp_path):
     def made(*lines: str, modes: int = 2) -> list[float]:
         path = tmp_path / "model.bdf"
         path.write_text("\n".join(["BEGIN BULK", *BEAM, *lines, "ENDDATA"]))
-        body = mbd.read_bdf(path, "body", modes)
+        body = mbd.io.read_bdf(path, "body", modes)
         return torch.linalg.eigvalsh(body.structure()["Kr"].detach()).sqrt().tolist()
 
     return made
@@ -70,7 +70,7 @@ def test_an_mpc_ties_two_tips_in_one_direction(first, second, tmp_path):
     path = tmp_path / "model.bdf"
     tie = f"MPC,9,17,3,{first},117,3,{second}"
     path.write_text("\n".join(["BEGIN BULK", *BEAM, *beam(1), *beam(101, 0.5), "SPC1,1,123456,1,101", tie, "ENDDATA"]))
-    body = mbd.read_bdf(path, "body", 4)
+    body = mbd.io.read_bdf(path, "body", 4)
     made = body.structure()
     result, modes = torch.linalg.eigh(made["Kr"].detach())
     free = bending(1.87510)  # in y, each for itself

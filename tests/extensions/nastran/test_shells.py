@@ -139,7 +139,7 @@ def test_derivatives_by_property(name, tmp_path):
     path = tmp_path / "model.bdf"
     more = "PCOMP,8,,,,TSAI\n,1,.002,10.\nCQUAD4,900,8,601,602,912,911,0.\nGRID,911,,.2,-.05,.01\nGRID,912,,.2,0.,.01"
     path.write_text(model(cells=(6, 2), extra=[more]))
-    body = mbd.read_bdf(path, "wing", modes=3)
+    body = mbd.io.read_bdf(path, "wing", modes=3)
     names = [f"pcomp_{number}.{name}" for number in (7, 8)]
     given = [dict(body.named_parameters())[own] for own in names]
 

@@ -42,7 +42,7 @@ def deck_text(changes: dict[str, str], **options) -> str:
 
 def read(path: Path, name: str, modes: int, **options) -> Any:
     """The body of a file, whose laminates are attributes."""
-    return mbd.read_bdf(path, name, modes, **options)
+    return mbd.io.read_bdf(path, name, modes, **options)
 
 
 def moved(body: Any) -> Any:
@@ -67,7 +67,7 @@ def test_a_deck_read_again_is_the_design(changes, tmp_path):
     deck = tmp_path / "model.bdf"
     deck.write_text(deck_text(changes))
     body = moved(read(deck, "plate", 3))
-    path = mbd.write_bdf(body, deck)
+    path = mbd.io.write_bdf(body, deck)
     assert path == tmp_path / "model_optimized.bdf"
     same(body, read(path, "plate", 3))
     old, new = (file.read_text().splitlines() for file in (deck, path))
@@ -83,7 +83,7 @@ def test_units_of_the_deck_are_those_that_it_was_read_in(tmp_path):
     deck = tmp_path / "model.bdf"
     deck.write_text(deck_text({}, millimeters=True))
     body = moved(read(deck, "plate", 3, units="mm"))
-    path = mbd.write_bdf(body, deck, tmp_path / "other.bdf")
+    path = mbd.io.write_bdf(body, deck, tmp_path / "other.bdf")
     same(body, read(path, "plate", 3, units="mm"))
     assert "1.1" in path.read_text()
 
@@ -93,9 +93,9 @@ def test_a_design_that_did_not_change_leaves_every_byte(tmp_path):
     deck = tmp_path / "model.bdf"
     deck.write_bytes(deck_text({}).replace("\n", "\r\n").encode().rstrip() + b"\r\n$ M\xfcnchen")
     body = read(deck, "plate", 3)
-    path = mbd.write_bdf(body, deck)
+    path = mbd.io.write_bdf(body, deck)
     assert path.read_bytes() == deck.read_bytes()
-    mbd.write_bdf(moved(body), deck)
+    mbd.io.write_bdf(moved(body), deck)
     lines = path.read_bytes().splitlines(keepends=True)
     assert lines[-1] == b"$ M\xfcnchen"
     assert all(line.endswith(b"\r\n") for line in lines[:-1])
@@ -109,15 +109,15 @@ def test_included_files_become_one_deck(tmp_path):
     deck.write_text(f"{text[:start]}INCLUDE 'plies.inc'\n{text[end:]}")
     plies.write_text(text[start:end].rstrip())
     body = moved(read(deck, "plate", 3))
-    path = mbd.write_bdf(body, deck)
+    path = mbd.io.write_bdf(body, deck)
     same(body, read(path, "plate", 3))
     assert plies.read_text() == text[start:end].rstrip()
     with refused("path"):
-        mbd.write_bdf(body, deck, plies)
+        mbd.io.write_bdf(body, deck, plies)
     assert plies.read_text() == text[start:end].rstrip()
     plies.write_text(text[start:end])
     with refused("deck"):
-        mbd.write_bdf(body, deck)
+        mbd.io.write_bdf(body, deck)
 
 
 def test_pshell_and_nsm_follow_the_thickness(tmp_path):
@@ -131,7 +131,7 @@ def test_pshell_and_nsm_follow_the_thickness(tmp_path):
         body.pcomp_8.thickness[0] *= 1.5
         body.pshell_7.thickness.mul_(0.7)
     with warned("NSM"):
-        path = mbd.write_bdf(body, deck)
+        path = mbd.io.write_bdf(body, deck)
     same(body, read(path, "plate", 3))
     [card] = [card for card in read_cards(path) if card.name == "PSHELL"]
     assert (card.real(9, "Z1"), card.real(10, "Z2")) == pytest.approx((0.7 * 1.5e-3, -0.7 * 1.5e-3))
@@ -141,7 +141,7 @@ def test_pshell_and_nsm_follow_the_thickness(tmp_path):
         warned("NSM"),
         refused("plate.pshell_7.turn", ANY, "5.7"),
     ):
-        mbd.write_bdf(body, deck)
+        mbd.io.write_bdf(body, deck)
 
 
 def test_a_global_ply_stack_is_written(tmp_path):
@@ -153,7 +153,7 @@ def test_a_global_ply_stack_is_written(tmp_path):
     body = read(deck, "plate", 3)
     with torch.no_grad():
         body.laminate.angles.copy_(ANGLES[:2])
-    path = mbd.write_bdf(body, deck)
+    path = mbd.io.write_bdf(body, deck)
     same(body, read(path, "plate", 3))
 
 
@@ -168,12 +168,12 @@ def test_the_best_design_of_an_optimization_is_written(tmp_path):
     problem = mbd.Problem(system, 0.01, energy, steps=4, bounds=mbd.deg([-90, 90]))
     result = mbd.optimize(problem, max_iterations=1)
     assert not np.allclose(result.x, problem.start)
-    path = mbd.write_bdf(result, deck)
+    path = mbd.io.write_bdf(result, deck)
     assert_close(read(path, "plate", 2).laminate.angles.detach(), torch.from_numpy(result.x), rtol=1e-11, atol=0)
     assert_close(body.laminate.angles.detach(), torch.from_numpy(problem.start))
-    searches = mbd.multistart(problem, starts=[result.x], max_iterations=1)
-    assert mbd.write_bdf(searches, deck, tmp_path / "best.bdf").is_file()
-    assert mbd.write_bdf(system, deck, tmp_path / "start.bdf").read_text() == deck.read_text()
+    searches = mbd.optimization.multistart(problem, starts=[result.x], max_iterations=1)
+    assert mbd.io.write_bdf(searches, deck, tmp_path / "best.bdf").is_file()
+    assert mbd.io.write_bdf(system, deck, tmp_path / "start.bdf").read_text() == deck.read_text()
 
 
 def test_bad_input_is_refused(tmp_path):
@@ -182,19 +182,19 @@ def test_bad_input_is_refused(tmp_path):
     deck.write_text(deck_text({}))
     body = moved(read(deck, "plate", 3))
     with refused("path"):
-        mbd.write_bdf(body, deck, deck)
+        mbd.io.write_bdf(body, deck, deck)
     with refused("deck"):
-        mbd.write_bdf(body, tmp_path / "none.bdf")
+        mbd.io.write_bdf(body, tmp_path / "none.bdf")
     with refused("design", 3.0):
-        mbd.write_bdf(3.0, deck)
+        mbd.io.write_bdf(3.0, deck)
     rod = mbd.RigidBody("rod", 1.0, (1, 1, 1))
     with refused("design"):
-        mbd.write_bdf(mbd.System([rod], free=["rod"]), deck)
+        mbd.io.write_bdf(mbd.System([rod], free=["rod"]), deck)
     with refused("deck"):
-        mbd.write_bdf(mbd.examples.arm(), deck)
+        mbd.io.write_bdf(mbd.examples.arm(), deck)
     deck.write_text(deck.read_text().replace("1586.", "1587."))
     with refused("deck"):
-        mbd.write_bdf(body, deck)
+        mbd.io.write_bdf(body, deck)
 
 
 def test_a_repeated_card_is_refused(tmp_path):
@@ -209,7 +209,7 @@ def test_a_repeated_card_is_refused(tmp_path):
         with torch.no_grad():
             part.thickness.mul_(2.0)
         with pytest.raises(InputError, match=r"PSHELL [78] repeats another card"):
-            mbd.write_bdf(body, deck)
+            mbd.io.write_bdf(body, deck)
 
 
 def test_a_card_of_several_parts_needs_one_design(tmp_path):
@@ -220,7 +220,7 @@ def test_a_card_of_several_parts_needs_one_design(tmp_path):
     with torch.no_grad():
         body.pcomp_7.angles.copy_(ANGLES)
     with refused("PCOMP.7", ANY, "plate.pcomp_7", "plate.pcomp_7_offset_1"):
-        mbd.write_bdf(body, deck)
+        mbd.io.write_bdf(body, deck)
     with torch.no_grad():
         body.pcomp_7_offset_1.angles.copy_(ANGLES)
-    same(body, read(mbd.write_bdf(body, deck), "plate", 3))
+    same(body, read(mbd.io.write_bdf(body, deck), "plate", 3))

@@ -107,7 +107,7 @@ def test_spoilt_files(file):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                mbd.read_mjcf(path)
+                mbd.io.read_mjcf(path)
             except InputError:
                 refused += 1
     assert 20 < refused < 150

@@ -92,7 +92,7 @@ def test_an_arm_of_three_joints_follows_the_recursion(file):
     """Angular accelerations of all links at 1e-10, at the start and along a motion; links fixed to others are parts of them."""
     path = file(*ARM)
     with warned("joints ['j1']", "turn"):
-        system = mbd.read_urdf(path, positions=Q, velocities=RATE)
+        system = mbd.io.read_urdf(path, positions=Q, velocities=RATE)
     assert [body.name for body in system.bodies] == ["link1", "link2", "link3"]
     assert system.describe().freedoms == 3
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
@@ -107,7 +107,7 @@ def test_an_arm_of_three_joints_follows_the_recursion(file):
 def test_the_motion_converges_to_that_of_the_recursion(file):
     """Positions after 0.1 s against steps of Runge and Kutta on the recursion."""
     path = file(*ARM)
-    system = mbd.read_urdf(path, positions=Q, velocities=RATE, stop_stiffness=None)
+    system = mbd.io.read_urdf(path, positions=Q, velocities=RATE, stop_stiffness=None)
     motion = finished(mbd.simulate(system, 0.1, steps=400, gradients="none"))
     robot, tree, h = urdf_robot(path), Tree(path), 2e-3
     y = np.array([[x[name] for name in MOVING] for x in (Q, RATE)])
@@ -142,7 +142,7 @@ def hinge(extra: str = "", kind: str = "revolute", axis: str = "0 1 0") -> str:
 def test_limits_are_stops_and_friction_takes_energy(file):
     """A pendulum falls on its stop: as deep as its energy tells. Without gravity friction slows it down by F / J t."""
     stop = file(*PENDULUM, hinge('<limit lower="-1" upper="0.4"/><dynamics damping="0.1"/>'))
-    motion = finished(mbd.simulate(mbd.read_urdf(stop), 0.35, steps=350, gradients="none"))
+    motion = finished(mbd.simulate(mbd.io.read_urdf(stop), 0.35, steps=350, gradients="none"))
     x = motion.body("rod").A[0, :, :, 0]
     angle = torch.atan2(-x[:, 2], x[:, 0])
     depth = math.sqrt(2.0 * 9.81 * 0.5 * math.sin(0.4) / 1e4)
@@ -150,7 +150,7 @@ def test_limits_are_stops_and_friction_takes_energy(file):
     assert float(angle[-1]) < 0.4
     J = 0.1 + 0.25
     rough = file(*PENDULUM, hinge('<dynamics friction="0.7"/>', "continuous", "0 0 1"), name="rough.urdf")
-    system = mbd.read_urdf(rough, gravity=None, velocities={"hinge": 3.0})
+    system = mbd.io.read_urdf(rough, gravity=None, velocities={"hinge": 3.0})
     motion = finished(mbd.simulate(system, 0.5, steps=500, gradients="none"))
     assert float(motion.body("rod").omega[0, -1, 2]) == pytest.approx(3.0 - 0.7 / J * 0.5, rel=1e-6)
 
@@ -161,13 +161,13 @@ def test_stops_are_watched_and_may_lose_energy(file):
     """Steps that a stop is too short for are halved; with damping the speed after it is that of Hunt and Crossley's law."""
     stop = file(*PENDULUM, hinge('<limit lower="-0.1" upper="0.1"/>', axis="0 0 1"))
     given = {"gravity": None, "velocities": {"hinge": 0.5}, "stop_stiffness": 1e5}
-    system = mbd.read_urdf(stop, **given)
+    system = mbd.io.read_urdf(stop, **given)
     assert [type(force) for force in system.forces] == [mbd.RotationalStop]
     motion = finished(mbd.simulate(system, 0.3, steps=30, gradients="none"))
     assert motion.stats["halved"] == [0]
     assert float(motion.body("rod").omega[0, -1, 2]) == pytest.approx(-0.5, rel=1e-3)
     c, v = 0.6, 0.5
-    soft = mbd.read_urdf(stop, **given | {"stop_stiffness": 3e3, "stop_damping": c})
+    soft = mbd.io.read_urdf(stop, **given | {"stop_stiffness": 3e3, "stop_damping": c})
     w = -float(finished(mbd.simulate(soft, 0.3, steps=1000, gradients="none")).body("rod").omega[0, -1, 2])
     assert c * v - math.log1p(c * v) == pytest.approx(-c * w - math.log1p(-c * w), rel=1e-4)
 
@@ -175,11 +175,11 @@ def test_stops_are_watched_and_may_lose_energy(file):
 def test_starts_beyond_limits_are_refused(file):
     path = file(*PENDULUM, hinge('<limit lower="0.2" upper="0.4"/>'))
     with refused("positions"):
-        mbd.read_urdf(path)
-    assert mbd.read_urdf(path, positions={"hinge": 0.3}).forces
-    assert not mbd.read_urdf(path, stop_stiffness=None).forces
+        mbd.io.read_urdf(path)
+    assert mbd.io.read_urdf(path, positions={"hinge": 0.3}).forces
+    assert not mbd.io.read_urdf(path, stop_stiffness=None).forces
     effort = file(*PENDULUM, hinge('<limit effort="3" velocity="1"/>'))
-    assert not mbd.read_urdf(effort).forces  # a <limit> without lower and upper
+    assert not mbd.io.read_urdf(effort).forces  # a <limit> without lower and upper
 
 
 def mimicking(attributes: str) -> list[str]:
@@ -194,7 +194,7 @@ def test_a_joint_that_mimics_another_follows_it(file):
     """As the recursion with three coordinates, whose equations are those of the two that remain: N' M N a = -N' h."""
     path = file(*mimicking('joint="j2" multiplier="-1.5" offset="0.2"'))
     Q, rate = {"j1": 0.3, "j2": -0.7}, {"j1": 1.5, "j2": -2.0}
-    system = mbd.read_urdf(path, positions=Q, velocities=rate, stop_stiffness=None)
+    system = mbd.io.read_urdf(path, positions=Q, velocities=rate, stop_stiffness=None)
     assert [(joint.name, type(joint)) for joint in system.joints][-1] == ("j3_mimic", mbd.JointCoupling)
     assert system.describe().freedoms == 2
     motion = finished(mbd.simulate(system, 1e-3, steps=2, gradients="none", backend="eager"))
@@ -212,8 +212,8 @@ def test_a_joint_that_mimics_another_follows_it(file):
 @pytest.mark.thorough
 def test_a_follower_of_a_locked_joint_is_fixed(file):
     path = file(*mimicking('joint="j2" multiplier="-1.5" offset="0.2"'))
-    system = mbd.read_urdf(path, positions={"j2": 0.4}, locked=["j2"], stop_stiffness=None)
-    expected = mbd.read_urdf(
+    system = mbd.io.read_urdf(path, positions={"j2": 0.4}, locked=["j2"], stop_stiffness=None)
+    expected = mbd.io.read_urdf(
         file(*ARM, name="plain.urdf"), positions={"j2": 0.4, "j3": -0.4}, locked=["j2", "j3"], stop_stiffness=None
     )
     assert [body.name for body in system.bodies] == ["link1"]
@@ -238,16 +238,16 @@ def test_a_follower_of_a_locked_joint_is_fixed(file):
 )
 def test_relations_that_cannot_be_kept_are_refused(file, attributes, given, fault):
     with refused(*fault):
-        mbd.read_urdf(file(*mimicking(attributes)), stop_stiffness=None, **given)
+        mbd.io.read_urdf(file(*mimicking(attributes)), stop_stiffness=None, **given)
 
 
 @pytest.mark.thorough
 def test_locked_joints_are_fixed_at_their_positions(file):
     """As if the position stood in the file; a joint that mimics another may be."""
     path, rate = file(*mimicking('joint="j2"')), {"j1": 1.5, "j2": -2.0}
-    system = mbd.read_urdf(path, positions=Q, velocities=rate, locked=["j3"])
+    system = mbd.io.read_urdf(path, positions=Q, velocities=rate, locked=["j3"])
     assert [body.name for body in system.bodies] == ["link1", "link2"]
-    once = mbd.read_urdf(path, positions=Q, velocities=rate, locked=(name for name in ["j3"]))
+    once = mbd.io.read_urdf(path, positions=Q, velocities=rate, locked=(name for name in ["j3"]))
     assert [body.name for body in once.bodies] == ["link1", "link2"]
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
     _, expected = Tree(path, ["j3"]).accelerations(Q, rate)
@@ -256,14 +256,14 @@ def test_locked_joints_are_fixed_at_their_positions(file):
 
 @pytest.mark.thorough
 def test_drives_move_joints_from_their_positions(file):
-    system = mbd.read_urdf(
+    system = mbd.io.read_urdf(
         file(*PENDULUM, hinge()), positions={"hinge": 0.3}, drives={"hinge": mbd.SmoothStep(0.5, 0.2)}, gravity=None
     )
     motion = finished(mbd.simulate(system, 0.3, steps=30, gradients="none"))
     assert float(motion.body("rod").A[0, -1, 2, 0]) == pytest.approx(-math.sin(0.8), abs=1e-9)
     assert "hinge_drive" in [joint.name for joint in system.joints]
     slide = file(*PENDULUM, hinge(kind="prismatic"))
-    system = mbd.read_urdf(slide, drives={"hinge": mbd.SmoothStep(0.5, 0.2)})
+    system = mbd.io.read_urdf(slide, drives={"hinge": mbd.SmoothStep(0.5, 0.2)})
     motion = finished(mbd.simulate(system, 0.3, steps=30, gradients="none"))
     assert float(motion.body("rod").r[0, -1, 1]) == pytest.approx(0.5, abs=1e-9)
 
@@ -271,25 +271,25 @@ def test_drives_move_joints_from_their_positions(file):
 def test_inertia_that_no_mass_has_is_taken_with_a_warning(file):
     path = file(PENDULUM[0], link("rod", 1.0, "0.5 0 0", 1e-3, 0.1, 0.3), hinge())
     with warned("links ['rod']", "principal inertia"):
-        system = mbd.read_urdf(path, velocities={"hinge": 1.0})
+        system = mbd.io.read_urdf(path, velocities={"hinge": 1.0})
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
     np.testing.assert_allclose(
         motion.body("rod").omega_rate[0, 0], Tree(path).accelerations({}, {"hinge": 1.0})[1]["rod"][1], rtol=1e-12
     )
     with refused("links.rod.inertia"):
-        mbd.read_urdf(file(PENDULUM[0], link("rod", 1.0, "0 0 0", -1e-3, 0.1, 0.1), hinge()))
+        mbd.io.read_urdf(file(PENDULUM[0], link("rod", 1.0, "0 0 0", -1e-3, 0.1, 0.1), hinge()))
 
 
 @pytest.mark.thorough
 def test_slides_and_free_bases(file):
     """A prismatic joint along a direction, damped; a base that is not fixed falls."""
     path = file(*PENDULUM, hinge('<dynamics damping="2"/><limit lower="0" upper="0"/>', "prismatic", "0 0.6 0.8"))
-    system = mbd.read_urdf(path, gravity=None, velocities={"hinge": 1.0}, stop_stiffness=None)
+    system = mbd.io.read_urdf(path, gravity=None, velocities={"hinge": 1.0}, stop_stiffness=None)
     motion = finished(mbd.simulate(system, 0.5, steps=500, gradients="none"))
     along = motion.body("rod").r[0, -1] @ torch.tensor([0.0, 0.6, 0.8], dtype=torch.float64)
     assert float(along) == pytest.approx((1.0 - math.exp(-1.0)) / 2.0, rel=1e-5)
     base = [link("world", 3.0, "0 0 0", 1.0, 1.0, 1.0), PENDULUM[1], hinge()]
-    system = mbd.read_urdf(file(*base), fixed_base=False)
+    system = mbd.io.read_urdf(file(*base), fixed_base=False)
     assert system.describe().freedoms == 7
     motion = finished(mbd.simulate(system, 0.1, steps=50, gradients="none"))
     assert float(motion.body("world").r[0, -1, 2]) == pytest.approx(-0.5 * 9.81 * 0.01, rel=1e-3)
@@ -303,17 +303,17 @@ def test_a_link_is_replaced_by_a_plate(file):
         mesh.nodes + torch.tensor([0.25, 0.0, 0.0], dtype=torch.float64), quads=mesh.quads, node_sets=mesh.node_sets
     )
     plate = mbd.FlexibleBody.plate("plate", mesh, laminate((30.0, -50.0)), modes=2, reference=0)
-    system = mbd.read_urdf(file(*ARM), flexible={"link2": plate}, stop_stiffness=None, positions=Q)
+    system = mbd.io.read_urdf(file(*ARM), flexible={"link2": plate}, stop_stiffness=None, positions=Q)
     assert [body.name for body in system.bodies] == ["link1", "plate", "link3"]
     assert system.describe().freedoms == 3 + plate.modes
     assert "plate.laminate.angles" in dict(system.named_parameters())
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
-    rigid = mbd.read_urdf(file(*ARM), stop_stiffness=None, positions=Q)
+    rigid = mbd.io.read_urdf(file(*ARM), stop_stiffness=None, positions=Q)
     same = mbd.simulate(rigid, 1e-3, steps=10, gradients="none")
     torch.testing.assert_close(motion.body("link3").r[0, 0], same.body("link3").r[0, 0], rtol=0.0, atol=2e-3)
     far = mbd.FlexibleBody.plate("plate", mbd.mesh.rectangle(0.2, 0.05, (2, 1)), laminate((30.0,)), modes=2)
     with refused("j3"):
-        mbd.read_urdf(file(*ARM), flexible={"link2": far})
+        mbd.io.read_urdf(file(*ARM), flexible={"link2": far})
 
 
 @pytest.mark.parametrize(
@@ -336,7 +336,7 @@ def test_a_link_is_replaced_by_a_plate(file):
 def test_wrong_arguments_are_named(file, given, path):
     extra = joint("j4", "revolute", "link3", "hook", "1 0 0", extra='<dynamics friction="1"/>')
     with refused(path):
-        mbd.read_urdf(file(*ARM, link("hook", 1.0, "0 0 0", 1e-3, 1e-3, 1e-3), extra), **given)
+        mbd.io.read_urdf(file(*ARM, link("hook", 1.0, "0 0 0", 1e-3, 1e-3, 1e-3), extra), **given)
 
 
 def test_inertia_without_mass_counts(tmp_path):
@@ -350,5 +350,5 @@ def test_inertia_without_mass_counts(tmp_path):
         + joint("ankle", "fixed", "leg", "foot", "0.3 0 0", "0 0 0")
         + "</robot>"
     )
-    [leg] = mbd.read_urdf(file).bodies
+    [leg] = mbd.io.read_urdf(file).bodies
     assert leg.inertia.diagonal().tolist() == pytest.approx([2e-3, 4e-3, 6e-3])

@@ -74,7 +74,7 @@ def assert_accelerations(motion, expected, **tolerances):
 def test_bodies_accelerate_as_in_mujoco(file):
     given = {"positions": Q, "velocities": RATE, "controls": CONTROLS}
     with pytest.warns(UserWarning, match="left out: contact between geoms$"):
-        system = mbd.read_mjcf(file(MECHANISM), stop_stiffness=None, **given)
+        system = mbd.io.read_mjcf(file(MECHANISM), stop_stiffness=None, **given)
     motion = mbd.simulate(system, 1e-6, steps=1, gradients="none", backend="eager")
     assert_accelerations(motion, ACCELERATIONS, rtol=1e-11, atol=1e-9)
 
@@ -104,7 +104,7 @@ def pendulum(file, joint: str = "", other: str = "", equality: str = "", actuato
 @pytest.mark.filterwarnings("error")
 def test_a_bar_falls(file):
     """m g l / J about the hinge, J = m (l^2 / 3 + thickness^2 / 3)."""
-    system = mbd.read_mjcf(pendulum(file))
+    system = mbd.io.read_mjcf(pendulum(file))
     motion = mbd.simulate(system, 1e-6, steps=1, gradients="none", backend="eager")
     inertia = 3.0 / 3.0 * (0.5**2 + 0.01**2) + 3.0 * 0.5**2
     assert float(motion.body("bar").omega_rate[0, 0, 1]) == pytest.approx(3.0 * 9.81 * 0.5 / inertia, rel=1e-12)
@@ -113,14 +113,14 @@ def test_a_bar_falls(file):
 def test_springs_limits_and_references(file):
     """Degrees; a stop; the pose of the file is that of `ref`."""
     path = pendulum(file, 'stiffness="4" damping="1" springref="30" range="-45 90" ref="60" frictionloss="0.2"')
-    system = mbd.read_mjcf(path)
+    system = mbd.io.read_mjcf(path)
     assert [force.name for force in system.forces] == ["hinge_spring", "hinge_friction", "hinge_stop"]
     torch.testing.assert_close(system.body("bar").axes, torch.eye(3, dtype=torch.float64))
     spring = system.forces[0]
     assert (spring.law.stiffness, spring.law.damping) == (4.0, 1.0)
     assert spring.law.rest == pytest.approx(math.pi / 6.0)
     with refused("positions"):
-        mbd.read_mjcf(path, positions={"hinge": 2.0})
+        mbd.io.read_mjcf(path, positions={"hinge": 2.0})
 
 
 @pytest.mark.thorough
@@ -132,12 +132,12 @@ def test_connections_close_loops_where_the_file_has_its_bodies(file):
         ('<connect name="top" body1="bar" body2="strut" anchor="1 0 0"/>', mbd.Spherical),
         ('<weld name="top" body1="bar" body2="strut"/>', mbd.Fixed),
     ):
-        system = mbd.read_mjcf(pendulum(file, "", other, f"<equality>{equality}</equality>"))
+        system = mbd.io.read_mjcf(pendulum(file, "", other, f"<equality>{equality}</equality>"))
         joint = system.joints[-1]
         assert (type(joint), joint.name) == (kind, "top")
         motion = mbd.simulate(system, 0.1, steps=10, gradients="none", backend="eager").require_ok()
         assert float(motion.body("bar").omega.abs().max()) < 1e-9
-    held = mbd.read_mjcf(pendulum(file, "", other, '<equality><joint joint1="hinge"/></equality>'))
+    held = mbd.io.read_mjcf(pendulum(file, "", other, '<equality><joint joint1="hinge"/></equality>'))
     assert [body.name for body in held.bodies] == ["strut"]  # without a second joint it stays
 
 
@@ -164,7 +164,7 @@ HARD = {
 @pytest.mark.thorough
 def test_a_gripper_moves_as_the_hard_limit_of_mujoco(file):
     start = {"positions": {"wrist": 0.4, "l": 0.5}, "velocities": {"wrist": 1.1, "l": -0.8}}
-    system = mbd.read_mjcf(file(GRIPPER), controls={"m": 0.3}, **start)
+    system = mbd.io.read_mjcf(file(GRIPPER), controls={"m": 0.3}, **start)
     assert system.describe().freedoms == 2
     motion = mbd.simulate(system, 1e-6, steps=1, gradients="none", backend="eager")
     assert_accelerations(motion, HARD, rtol=1e-10, atol=1e-10)
@@ -178,7 +178,7 @@ def test_equalities_of_joints(file):
     <body name="two" pos="1 0 1"><joint name="down" type="slide" axis="0 0 1" ref="0.05"/><geom size=".1" mass="3"/></body>
     </worldbody><equality><joint joint1="down" joint2="up" polycoef="{}"/></equality>
     <actuator><motor name="lift" joint="up" gear="5"/></actuator></mujoco>"""
-    system = mbd.read_mjcf(file(text.format("0.02 -2 0 0 0")), positions={"up": 0.3}, controls={"lift": 4.0})
+    system = mbd.io.read_mjcf(file(text.format("0.02 -2 0 0 0")), positions={"up": 0.3}, controls={"lift": 4.0})
     assert float(system.body("two").position[2]) == pytest.approx(1.0 + 0.02 - 2.0 * 0.2)
     motion = mbd.simulate(system, 0.1, steps=10, gradients="none", backend="eager").require_ok()
     acceleration = (20.0 - 9.81 * (2.0 - 2.0 * 3.0)) / (2.0 + 4.0 * 3.0)
@@ -190,7 +190,7 @@ def test_equalities_of_joints(file):
         ("0 one", "mechanism.xml, <joint> 'joint_1'.polycoef"),
     ):
         with refused(path):
-            mbd.read_mjcf(file(text.format(coefficients)))
+            mbd.io.read_mjcf(file(text.format(coefficients)))
 
 
 @pytest.mark.thorough
@@ -199,20 +199,20 @@ def test_controls_and_drives(file):
     """A position actuator whose control is zero holds the bar near zero; its control may be a function of time."""
     text = '<actuator><position name="servo" joint="hinge" kp="500" kv="40" ctrlrange="0.1 1"/></actuator>'
     path = pendulum(file, actuator=text)
-    [servo] = mbd.read_mjcf(path).forces
+    [servo] = mbd.io.read_mjcf(path).forces
     zero = torch.zeros((), dtype=torch.float64)
     assert float(servo.law(zero, zero, zero)) == pytest.approx(500.0 * 0.1)  # zero is below its range
-    held = mbd.read_mjcf(path, controls={"servo": 0.5})
+    held = mbd.io.read_mjcf(path, controls={"servo": 0.5})
     assert float(held.forces[0].law(zero + 0.5, zero, zero)) == 0.0
-    moved = mbd.read_mjcf(path, controls={"servo": lambda t: 0.2 + t})
+    moved = mbd.io.read_mjcf(path, controls={"servo": lambda t: 0.2 + t})
     assert float(moved.forces[0].law(zero, zero, zero + 0.3)) == pytest.approx(250.0)
-    assert [joint.name for joint in mbd.read_mjcf(path, drives={"hinge": lambda t: 2.0 * t}).joints] == [
+    assert [joint.name for joint in mbd.io.read_mjcf(path, drives={"hinge": lambda t: 2.0 * t}).joints] == [
         "hinge",
         "hinge_drive",
     ]
     for given, argument in (({"servo": 2.0}, "controls.servo"), ({"motor": 1.0}, "controls.motor")):
         with refused(argument):
-            mbd.read_mjcf(path, controls=given)
+            mbd.io.read_mjcf(path, controls=given)
 
 
 @pytest.mark.thorough
@@ -229,10 +229,10 @@ def test_bodies_may_be_flexible(file):
         reduction="craig-bampton",
         interface=["end"],
     )
-    system = mbd.read_mjcf(pendulum(file), flexible={"bar": beam})
+    system = mbd.io.read_mjcf(pendulum(file), flexible={"bar": beam})
     assert system.bodies[0] is beam
     bent = mbd.simulate(system, 0.1, steps=50, gradients="none").body("bar").at("end").position
-    rigid = mbd.read_mjcf(pendulum(file))
+    rigid = mbd.io.read_mjcf(pendulum(file))
     straight = mbd.simulate(rigid, 0.1, steps=50, gradients="none").body("bar").at((1.0, 0.0, 0.0)).position
     assert float(straight[0, -1, 2]) < 1.94
     torch.testing.assert_close(bent[0, -1], straight[0, -1], rtol=0.0, atol=2e-4)
@@ -249,13 +249,13 @@ def test_bodies_may_be_flexible(file):
 def test_limits_do_not_concern_free_joints(file, words, freedoms):
     bodies = '<body name="b"><joint type="free"/><geom size=".1"/></body>'
     path = file(f'<mujoco><option><flag contact="disable"/></option>{words}<worldbody>{bodies}</worldbody></mujoco>')
-    assert mbd.read_mjcf(path).describe().freedoms == freedoms
+    assert mbd.io.read_mjcf(path).describe().freedoms == freedoms
 
 
 def test_a_ball_joint_may_be_limited_without_a_range(file):
     body = '<body name="b"><joint type="ball" limited="true"/><geom size=".1"/></body>'
     path = file(f'<mujoco><option><flag contact="disable"/></option><worldbody>{body}</worldbody></mujoco>')
-    assert mbd.read_mjcf(path).describe().freedoms == 3
+    assert mbd.io.read_mjcf(path).describe().freedoms == 3
 
 
 @pytest.mark.parametrize("kind", ["free", "ball"])
@@ -263,7 +263,7 @@ def test_damping_of_joints_of_several_coordinates_is_listed(file, kind):
     body = f'<body name="b"><joint name="j" type="{kind}" damping="1"/><geom size=".1"/></body>'
     path = file(f'<mujoco><option><flag contact="disable"/></option><worldbody>{body}</worldbody></mujoco>')
     with warned(f"{kind} joints ['j']"):
-        mbd.read_mjcf(path)
+        mbd.io.read_mjcf(path)
 
 
 @pytest.mark.parametrize(
@@ -279,11 +279,11 @@ def test_damping_of_joints_of_several_coordinates_is_listed(file, kind):
     ],
 )
 def test_springs_and_dampers_may_be_polynomials(file, words, s, rate, force):
-    [element] = mbd.read_mjcf(pendulum(file, words)).forces
+    [element] = mbd.io.read_mjcf(pendulum(file, words)).forces
     s, rate, t = (torch.tensor(x, dtype=torch.float64) for x in (s, rate, 0.0))
     assert element.law(s, rate, t).item() == pytest.approx(force, rel=1e-12)
 
 
 def test_a_polynomial_of_four_terms_is_refused(file):
     with refused("mechanism.xml, joint 'hinge'.damping", "1 2 3 4"):
-        mbd.read_mjcf(pendulum(file, 'damping="1 2 3 4"'))
+        mbd.io.read_mjcf(pendulum(file, 'damping="1 2 3 4"'))

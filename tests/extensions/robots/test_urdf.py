@@ -81,7 +81,7 @@ def test_joints_of_one_name(tmp_path):
     path = tmp_path / "arm.urdf"
     path.write_text(TEXT.replace('name="j2"', 'name="j 3"').replace('name="j3"', 'name="j_3"'))
     with refused("joints.j_3"):
-        mbd.read_urdf(path, stop_stiffness=None)
+        mbd.io.read_urdf(path, stop_stiffness=None)
 
 
 @pytest.mark.thorough
@@ -110,7 +110,7 @@ def test_spoilt_files(tmp_path):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                mbd.read_urdf(path)
+                mbd.io.read_urdf(path)
             except InputError:
                 refused += 1
     assert 20 < refused < 200

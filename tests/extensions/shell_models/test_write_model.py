@@ -53,7 +53,9 @@ def test_a_nastran_file_read_again_is_the_body(kind, units, tmp_path):
     """Mass, center and frequencies agree to 1e-9, flat and curved, in other units; strengths and angles are there."""
     for mesh in (None, bent(kind)):
         body = plate(kind=kind, mesh=mesh)
-        again: Any = mbd.read_bdf(mbd.write_model(body, tmp_path / "plate.bdf", units=units), "plate", 4, units=units)
+        again: Any = mbd.io.read_bdf(
+            mbd.io.write_model(body, tmp_path / "plate.bdf", units=units), "plate", 4, units=units
+        )
         first, second = body.structure(), again.structure()
         for name in ("mass", "S0"):
             assert_close(first[name], second[name], rtol=1e-9, atol=1e-12)
@@ -71,16 +73,16 @@ def test_a_nastran_file_read_again_is_the_body(kind, units, tmp_path):
 def test_an_input_file_of_linear_elements_is_read_by_read_mesh(kind, tmp_path):
     """Nodes, cells and zones are those of the body, which makes the same modes of them."""
     body = plate(kind=kind)
-    path = mbd.write_model(body, tmp_path / "plate.inp", elements="linear", units="mm")
+    path = mbd.io.write_model(body, tmp_path / "plate.inp", elements="linear", units="mm")
     laminates = {"FIRST_1": body.first, "SECOND_2": body.second}
-    again = mbd.read_mesh(path, "plate", laminates, 4, scale="mm", direction=(1.0, 0.3, 0.0), reference="REFERENCE")
+    again = mbd.io.read_mesh(path, "plate", laminates, 4, scale="mm", direction=(1.0, 0.3, 0.0), reference="REFERENCE")
     assert_close(squares(body), squares(again), rtol=1e-9, atol=0)
 
 
 def test_an_input_file_of_quadratic_elements(tmp_path):
     """A middle node for each side, sections with all layers from the bottom, and orientations along the fibers."""
     body = plate((2, 1))
-    text = mbd.write_model(body, tmp_path / "plate.inp", modes=3).read_text()
+    text = mbd.io.write_model(body, tmp_path / "plate.inp", modes=3).read_text()
     nodes = [
         line for line in text[text.index("*NODE, NSET") : text.index("*ELEMENT")].splitlines() if line[0].isdigit()
     ]
@@ -110,7 +112,7 @@ def test_numbers_of_an_input_file_have_twenty_columns(tmp_path):
     laminate = mbd.Laminate(PLY, mbd.deg([0, 90, 180]), thickness, offset=-sum(thickness) / 2)
     mesh = mbd.mesh.rectangle(0.3, 0.1, (3, 1), "quad")
     body = mbd.FlexibleBody.plate("plate", mesh, laminate, 2, reference="left_edge")
-    text = mbd.write_model(body, tmp_path / "plate.inp", units="in").read_text()
+    text = mbd.io.write_model(body, tmp_path / "plate.inp", units="in").read_text()
     assert max(map(len, re.findall(r"[-+.\deE]*\.[-+.\deE]*", text))) <= 20
     axes = re.findall(r"\*ORIENTATION, .*\n(.*)", text)[1].split(", ")
     assert_close(np.array([x[:20] for x in axes], float), np.array([0.0, 1, 0, -1, 0, 0]), rtol=0, atol=1e-15)
@@ -125,7 +127,7 @@ def test_calculix_has_the_frequencies(angles, offset, tmp_path):
     laminate = mbd.Laminate(PLY, mbd.deg(angles), [1e-3, 2e-3, 1.5e-3], offset=offset)
     mesh = mbd.mesh.rectangle(0.3, 0.1, (40, 12), "quad")
     body = mbd.FlexibleBody.plate("plate", mesh, laminate, 3, reference="left_edge")
-    mbd.write_model(body, tmp_path / "plate.inp", modes=3)
+    mbd.io.write_model(body, tmp_path / "plate.inp", modes=3)
     subprocess.run(["ccx", "plate"], cwd=tmp_path, check=True, capture_output=True)
     rows = re.findall(r"^\s+\d+\s+\S+\s+\S+\s+(\S+)\s+\S+\s*$", Path(tmp_path / "plate.dat").read_text(), re.MULTILINE)
     frequencies = squares(body).sqrt() / (2 * torch.pi)
@@ -144,14 +146,14 @@ def test_bad_input_is_refused(tmp_path):
     ):
         options: dict[str, Any] = {"design": body, "path": path} | arguments
         with refused(argument):
-            mbd.write_model(**options)
+            mbd.io.write_model(**options)
     other = mbd.FlexibleBody.plate("other", body.mesh, body.first, 2)
     with refused("body"):
-        mbd.write_model(mbd.System([body, other], free=["plate", "other"]), path)
+        mbd.io.write_model(mbd.System([body, other], free=["plate", "other"]), path)
     rigid = mbd.FlexibleBody.plate("rigid", body.mesh, body.first, 2, rigid=["right_edge"])
     with refused("rigid"):
-        mbd.write_model(rigid, path)
+        mbd.io.write_model(rigid, path)
     line = mbd.BeamLine.straight(1.0, 2)
     beam = mbd.FlexibleBody.beam("beam", line, mbd.sections.tube(0.02, PLY, [0.0], thickness=1e-3, cells=(8, 1)), 2)
     with refused("beam"):
-        mbd.write_model(beam, path)
+        mbd.io.write_model(beam, path)

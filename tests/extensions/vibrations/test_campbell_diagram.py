@@ -31,7 +31,7 @@ def masses(damping: float = 0.0) -> mbd.System:
 def test_whirl_crosses_and_passes_zero_in_the_turning_frame():
     """w - speed, w, w + speed; the lowest is zero at 10 rad/s, 10 + speed = 14 - speed at 2 rad/s."""
     speeds = torch.linspace(0.5, 12.5, 13, dtype=torch.float64)
-    result = mbd.campbell(masses(), speeds, modes=6)
+    result = mbd.vibrations.campbell(masses(), speeds, modes=6)
     assert result.status == ["ok"]
     expected = torch.stack([(w + n * speeds).abs() for w in (10.0, 14.0) for n in (-1, 0, 1)], 1) / (2.0 * math.pi)
     order = expected[0].argsort()
@@ -40,7 +40,7 @@ def test_whirl_crosses_and_passes_zero_in_the_turning_frame():
 
 
 def test_damping_is_that_of_the_same_pole():
-    result = mbd.campbell(masses(damping=0.4), [1.0, 2.0], observer="ground", modes=1)
+    result = mbd.vibrations.campbell(masses(damping=0.4), [1.0, 2.0], observer="ground", modes=1)
     assert_close(result.damping_ratios[0, :, 0], torch.full((2,), 0.01, dtype=torch.float64), rtol=1e-8, atol=0.0)
     assert_close(result.poles[0, :, 0].real, torch.full((2,), -0.1, dtype=torch.float64), rtol=1e-8, atol=0.0)
 
@@ -64,7 +64,7 @@ def test_designs_are_lanes_and_gradients_are_those_of_the_closed_form():
     k = torch.tensor([60.0, 90.0], dtype=torch.float64, requires_grad=True)
 
     def frequencies(k):
-        return mbd.campbell(system, speeds, designs={"spring.stiffness": k}).frequencies[..., 0]
+        return mbd.vibrations.campbell(system, speeds, designs={"spring.stiffness": k}).frequencies[..., 0]
 
     inertia = 0.1 + 2.0 * 0.5**2
     w = (speeds**2 * (1.0 + 2.0 * 0.2 * 0.5 / inertia) + k[:, None] / inertia).sqrt()
@@ -79,7 +79,7 @@ def test_designs_are_lanes_and_gradients_are_those_of_the_closed_form():
 
 def test_a_vibration_that_is_lost_is_told(monkeypatch):
     monkeypatch.setattr("torchmbd.extensions.vibrations.campbell_diagram.LOST", 1.1)
-    result = mbd.campbell(masses(), [1.0, 2.5, 3.0], observer="ground", modes=1)
+    result = mbd.vibrations.campbell(masses(), [1.0, 2.5, 3.0], observer="ground", modes=1)
     assert result.status[0].startswith(
         "lost: vibration 1 from 2.5 rad/s on: no shape is like it; allowed: smaller steps"
     )
@@ -88,7 +88,7 @@ def test_a_vibration_that_is_lost_is_told(monkeypatch):
 
 def test_a_system_without_vibrations_has_none():
     free = mbd.RigidBody("free", 2.0, (1.0, 1.0, 1.0))
-    result = mbd.campbell(mbd.System([free], [mbd.Prismatic(GROUND.at(), free.at(), axis="x")]), [0.0])
+    result = mbd.vibrations.campbell(mbd.System([free], [mbd.Prismatic(GROUND.at(), free.at(), axis="x")]), [0.0])
     assert result.frequencies.shape == (1, 1, 0)
 
 
@@ -106,7 +106,7 @@ def test_a_system_without_vibrations_has_none():
 )
 def test_wrong_arguments_are_named(change, path):
     with refused(path):
-        mbd.campbell(**{"system": masses(), "speeds": [0.0, 1.0]} | change)
+        mbd.vibrations.campbell(**{"system": masses(), "speeds": [0.0, 1.0]} | change)
 
 
 def tilting_disk(stiffness: tuple[float, float]) -> mbd.System:
@@ -123,7 +123,7 @@ def test_forward_and_backward_whirl_are_told_apart(observer, sign):
     """Tilt: w^2 J - w Jp speed = k; forward whirl is the faster one, whoever sees it and whichever way it rotates."""
     speeds = torch.linspace(1.0, 25.0, 7, dtype=torch.float64)
     axis = (sign, 0.0, 0.0)
-    result = mbd.campbell(tilting_disk((8e3, 8e3)), speeds, axis=axis, observer=observer, modes=6)
+    result = mbd.vibrations.campbell(tilting_disk((8e3, 8e3)), speeds, axis=axis, observer=observer, modes=6)
     assert result.status == ["ok"]
     for k, speed in enumerate(speeds.tolist()):
         half, shift = 0.75 * speed, math.sqrt(4e3)
@@ -139,6 +139,6 @@ def test_forward_and_backward_whirl_are_told_apart(observer, sign):
 
 @pytest.mark.thorough
 def test_unequal_bearings_and_rest_have_no_single_sense():
-    result = mbd.campbell(tilting_disk((8e3, 3e3)), [0.0, 5.0], axis="x", observer="ground", modes=6)
+    result = mbd.vibrations.campbell(tilting_disk((8e3, 3e3)), [0.0, 5.0], axis="x", observer="ground", modes=6)
     assert result.whirl[0, 0].tolist() == [0] * 5
     assert sorted(result.whirl[0, 1].tolist()) == [-1, 0, 0, 0, 1]  # tilts alone whirl

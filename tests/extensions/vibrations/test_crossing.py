@@ -94,7 +94,7 @@ def test_at_symmetry(speed):
     for f in (w[0], w[1], w[1] - w[0]):
         with refused("number", [2, 3], kind=mbd.DesignFailure):
             torch.autograd.grad(f, k, retain_graph=True)
-    cluster = mbd.SystemFrequency(cluster=(2, 3), speed=speed, axis="x", observer="ground")
+    cluster = mbd.vibrations.SystemFrequency(cluster=(2, 3), speed=speed, axis="x", observer="ground")
     system = rotor()
 
     def mean(k: Tensor) -> Tensor:
@@ -103,7 +103,7 @@ def test_at_symmetry(speed):
     assert mean(k).item() == pytest.approx(math.sqrt(35.0) / (2.0 * math.pi), rel=1e-12)
     for by in (torch.autograd.grad(mean(k), k)[0], torch.func.jacfwd(mean)(k.detach())):
         assert by.item() == pytest.approx(0.5 * expected / (2.0 * math.pi), rel=ACCURACY)
-    cut = mbd.SystemFrequency(cluster=(3, 4), speed=speed, axis="x", observer="ground")
+    cut = mbd.vibrations.SystemFrequency(cluster=(3, 4), speed=speed, axis="x", observer="ground")
 
     def half(k: Tensor) -> Tensor:
         return cut(mbd.simulate(system, 1e-4, steps=2, designs={"bearing0.stiffness_y": k}))[0]

@@ -163,10 +163,10 @@ def test_poles_of_a_free_motion_are_zero_and_the_others_count():
     (slope,) = torch.autograd.grad(rest.damping_ratios[0, 0], k, retain_graph=True)
     assert float(slope) == pytest.approx(-0.1 / (4.0 * 50.0), rel=1e-9)  # one of two springs alike, at constant damping
     motion = mbd.simulate(chain(), 1e-4, steps=2)
-    assert float(mbd.DampingRatio(1)(motion)) == pytest.approx(0.1)
-    assert float(mbd.StabilityMargin()(motion)) == 0.0
+    assert float(mbd.vibrations.DampingRatio(1)(motion)) == pytest.approx(0.1)
+    assert float(mbd.vibrations.StabilityMargin()(motion)) == 0.0
     with refused("number", 2, "free motion", kind=mbd.DesignFailure):
-        mbd.StabilityMargin()(motion).sum().backward()
+        mbd.vibrations.StabilityMargin()(motion).sum().backward()
 
 
 def test_slow_poles_of_strong_dampers_are_no_free_motions():

@@ -78,7 +78,7 @@ def test_numbers_are_those_of_the_matrices(model, share):
     ports = Ports(len(inputs))
     rest = mbd.equilibrium(system_with_ports(system, ports, inputs, outputs))
     G = frequency_response(rest, ports, HERTZ).detach()
-    expected = mbd.linearize(system, inputs, outputs, rest).response(HERTZ.numpy())
+    expected = mbd.vibrations.linearize(system, inputs, outputs, rest).response(HERTZ.numpy())
     np.testing.assert_allclose(G[0].numpy(), expected, rtol=0.0, atol=share * float(G.abs().max()))
 
 

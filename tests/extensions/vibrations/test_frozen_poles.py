@@ -28,7 +28,7 @@ def test_of_a_pendulum_by_its_mass():
     """s^2 = -m g L cos(angle) / (m L^2 + J), through the angle as well."""
     mass = torch.tensor([1.5, 2.0], dtype=torch.float64, requires_grad=True)
     motion = mbd.simulate(swinging(), 0.6, steps=200, designs={"bob.mass": mass})
-    s, angle = mbd.frozen_poles(motion, 0.3), mbd.Angle("bob", "z")(motion)[:, 100]
+    s, angle = mbd.vibrations.frozen_poles(motion, 0.3), mbd.Angle("bob", "z")(motion)[:, 100]
     expected = torch.sqrt(mass * 9.81 * 2.0 * torch.cos(angle) / (4.0 * mass + 0.1))
     assert_close(s[:, 1].imag, expected, rtol=1e-6, atol=0.0)
     slopes = [torch.autograd.grad(x.sum(), mass, retain_graph=True)[0] for x in (s[:, 1].imag, expected)]
@@ -45,7 +45,7 @@ def test_of_a_flexible_double_pendulum():
     system, names = pendulum(damping=1e-4), ["rod.laminate.angles", "rod.laminate.thickness"]
 
     def value(designs: dict[str, Tensor]) -> Tensor:
-        s = mbd.frozen_poles(mbd.simulate(system, 0.05, steps=100, designs=designs))
+        s = mbd.vibrations.frozen_poles(mbd.simulate(system, 0.05, steps=100, designs=designs))
         return (s.real + 0.3 * s.imag.abs()).square().sum(1)
 
     start = {name: system.get_parameter(name).detach().clone() for name in names}
@@ -76,7 +76,7 @@ def test_by_the_duration_of_a_driven_motion():
     system = mbd.System([carriage, bob], joints, gravity=(0, -9.81, 0))
 
     def swing(duration: Tensor) -> Tensor:
-        return mbd.frozen_poles(mbd.simulate(system, duration, steps=60))[0, 1].imag
+        return mbd.vibrations.frozen_poles(mbd.simulate(system, duration, steps=60))[0, 1].imag
 
     T, h = torch.tensor(0.6, dtype=torch.float64), 1e-4
     expected = ((swing(T + h) - swing(T - h)) / (2.0 * h)).item()
@@ -87,7 +87,7 @@ def test_by_the_duration_of_a_driven_motion():
 def test_what_has_no_derivative_is_named():
     """The poles of a free turn, which are zero; values are there."""
     mass = torch.tensor([1.5], dtype=torch.float64, requires_grad=True)
-    s = mbd.frozen_poles(mbd.simulate(swinging(gravity=0.0), 0.1, steps=20, designs={"bob.mass": mass}))
+    s = mbd.vibrations.frozen_poles(mbd.simulate(swinging(gravity=0.0), 0.1, steps=20, designs={"bob.mass": mass}))
     assert s.abs().max().item() < 1e-6
     with refused("number", 1, kind=mbd.DesignFailure):
         s.imag.sum().backward()
@@ -97,27 +97,29 @@ def test_what_has_no_derivative_is_named():
 def test_bad_arguments_are_named():
     motion = mbd.simulate(swinging(), 0.1, steps=10)
     for call, path in (
-        (lambda: mbd.frozen_poles(3), "motion"),
-        (lambda: mbd.frozen_poles(mbd.equilibrium(swinging())), "motion"),
+        (lambda: mbd.vibrations.frozen_poles(3), "motion"),
+        (lambda: mbd.vibrations.frozen_poles(mbd.equilibrium(swinging())), "motion"),
         (
-            lambda: mbd.frozen_poles(mbd.simulate(swinging(), 0.1, steps=10, phases=PHASES)),
+            lambda: mbd.vibrations.frozen_poles(mbd.simulate(swinging(), 0.1, steps=10, phases=PHASES)),
             "motion",
         ),
-        (lambda: mbd.frozen_poles(motion, 0.1001), "time"),
-        (lambda: mbd.frozen_poles(motion, "0.1"), "time"),
-        (lambda: mbd.frozen_poles(motion, coordinates=["angle"]), "coordinates"),
-        (lambda: mbd.frozen_poles(motion, coordinates="rotation z of 'bob'"), "coordinates"),
-        (lambda: mbd.frozen_poles(motion, coordinates=3), "coordinates"),
-        (lambda: mbd.frozen_poles(motion, coordinates=[]), "coordinates"),
+        (lambda: mbd.vibrations.frozen_poles(motion, 0.1001), "time"),
+        (lambda: mbd.vibrations.frozen_poles(motion, "0.1"), "time"),
+        (lambda: mbd.vibrations.frozen_poles(motion, coordinates=["angle"]), "coordinates"),
+        (lambda: mbd.vibrations.frozen_poles(motion, coordinates="rotation z of 'bob'"), "coordinates"),
+        (lambda: mbd.vibrations.frozen_poles(motion, coordinates=3), "coordinates"),
+        (lambda: mbd.vibrations.frozen_poles(motion, coordinates=[]), "coordinates"),
     ):
         with refused(path):
             call()
 
     def poles(mass: Tensor) -> Tensor:
-        return mbd.frozen_poles(mbd.simulate(swinging(), 0.1, steps=10, designs={"bob.mass": mass[None]})).imag
+        return mbd.vibrations.frozen_poles(
+            mbd.simulate(swinging(), 0.1, steps=10, designs={"bob.mass": mass[None]})
+        ).imag
 
     with refused("motion"):
         torch.vmap(poles)(torch.tensor([1.0, 2.0], dtype=torch.float64))
     single = torch.tensor(0.07, dtype=torch.float32)  # is 2e-9 off the time of the motion
-    assert torch.equal(mbd.frozen_poles(motion, single), mbd.frozen_poles(motion, 0.07))
-    assert mbd.frozen_poles(motion).imag[0, 1].item() == pytest.approx(math.sqrt(9.81 * 3.0 / 6.1), rel=0.2)
+    assert torch.equal(mbd.vibrations.frozen_poles(motion, single), mbd.vibrations.frozen_poles(motion, 0.07))
+    assert mbd.vibrations.frozen_poles(motion).imag[0, 1].item() == pytest.approx(math.sqrt(9.81 * 3.0 / 6.1), rel=0.2)

@@ -26,7 +26,7 @@ def carriage() -> tuple[mbd.System, list[mbd.Prismatic]]:
 
 def test_two_masses_in_closed_form():
     system, rails = carriage()
-    linear = mbd.linearize(
+    linear = mbd.vibrations.linearize(
         system,
         [mbd.signals.JointForce(rails[1])],
         [mbd.signals.JointTravel(rails[0]), mbd.signals.JointSpeed(rails[1]), mbd.signals.PointPosition(rails[1].b)],
@@ -54,7 +54,7 @@ def test_under_control():
     angle = [mbd.signals.JointAngle(hinge), mbd.signals.JointRate(hinge)]
     servo = mbd.Controller(gains, angle, [mbd.signals.JointTorque(hinge)], name="servo")
     system = mbd.System([bob], [hinge], [servo], gravity=(0.0, -9.81, 0.0))
-    linear = mbd.linearize(system, [mbd.signals.JointTorque(hinge)], angle)
+    linear = mbd.vibrations.linearize(system, [mbd.signals.JointTorque(hinge)], angle)
     T = np.diag([linear.C[0, 0], linear.C[1, 1]])  # states as angles
     A, B = T @ linear.A @ np.linalg.inv(T), T @ linear.B
     m = float(bob.mass)
@@ -66,7 +66,9 @@ def test_of_a_rotor_seen_from_the_ground():
     system = rotor(1.5, {0.5: 0.28}, (0.0, 1.5), (1e6, 0.8e6), 6)
     state = mbd.equilibrium(system, spin=(200.0, 0.0, 0.0), observer="ground", unstable=True)
     disk = system.body("disk0")
-    linear = mbd.linearize(system, [mbd.signals.ForceOn(disk.at(), "y")], [mbd.signals.PointPosition(disk.at())], state)
+    linear = mbd.vibrations.linearize(
+        system, [mbd.signals.ForceOn(disk.at(), "y")], [mbd.signals.PointPosition(disk.at())], state
+    )
     got, expected = (np.sort(np.abs(x.imag)) for x in (np.linalg.eigvals(linear.A), state.poles[0].numpy()))
     assert expected[:2].tolist() == [0.0, 0.0]  # the free spin, of which `got` has the root of rounding
     np.testing.assert_allclose(got[2:], expected[2:], rtol=1e-6)
@@ -76,26 +78,26 @@ def test_bad_arguments_are_named():
     system, rails = carriage()
     force, travel = [mbd.signals.JointForce(rails[0])], [mbd.signals.JointTravel(rails[0])]
     for call, path in (
-        (lambda: mbd.linearize(3, force, travel), "system"),
-        (lambda: mbd.linearize(system, [], travel), "inputs"),
-        (lambda: mbd.linearize(system, travel, travel), "inputs"),
+        (lambda: mbd.vibrations.linearize(3, force, travel), "system"),
+        (lambda: mbd.vibrations.linearize(system, [], travel), "inputs"),
+        (lambda: mbd.vibrations.linearize(system, travel, travel), "inputs"),
         (
-            lambda: mbd.linearize(system, [mbd.signals.JointTorque(hinged(1.0)[1])], travel),
+            lambda: mbd.vibrations.linearize(system, [mbd.signals.JointTorque(hinged(1.0)[1])], travel),
             "forces.inputs and outputs",
         ),
-        (lambda: mbd.linearize(system, force, [mbd.signals.Time()]), "outputs"),
-        (lambda: mbd.linearize(system, force, travel, state=3), "state"),
-        (lambda: mbd.linearize(system, force, travel, lane=4), "lane"),
-        (lambda: mbd.linearize(system, force, travel, mbd.equilibrium(mbd.examples.pendulum())), "state"),
-        (lambda: mbd.linearize(system, force, []), "outputs"),
-        (lambda: mbd.linearize(system, force, travel, time=0.3), "time"),
-        (lambda: mbd.linearize(system, force, travel, coordinates=["x"]), "coordinates"),
-        (lambda: mbd.linearize(system, force, travel).response(np.nan), "frequencies"),
+        (lambda: mbd.vibrations.linearize(system, force, [mbd.signals.Time()]), "outputs"),
+        (lambda: mbd.vibrations.linearize(system, force, travel, state=3), "state"),
+        (lambda: mbd.vibrations.linearize(system, force, travel, lane=4), "lane"),
+        (lambda: mbd.vibrations.linearize(system, force, travel, mbd.equilibrium(mbd.examples.pendulum())), "state"),
+        (lambda: mbd.vibrations.linearize(system, force, []), "outputs"),
+        (lambda: mbd.vibrations.linearize(system, force, travel, time=0.3), "time"),
+        (lambda: mbd.vibrations.linearize(system, force, travel, coordinates=["x"]), "coordinates"),
+        (lambda: mbd.vibrations.linearize(system, force, travel).response(np.nan), "frequencies"),
     ):
         with refused(path):
             call()
     before = mbd.equilibrium(system, [-1.0, 0.0])
-    assert mbd.linearize(system, force, travel, before, time=-1.0).A.shape == (4, 4)
+    assert mbd.vibrations.linearize(system, force, travel, before, time=-1.0).A.shape == (4, 4)
 
 
 @pytest.mark.thorough
@@ -114,7 +116,7 @@ def test_the_difference_of_two_motions_follows_the_matrices():
     turn = 2.0 * (p[:, :1] * dp[:, 1:] - dp[:, :1] * p[:, 1:] - torch.linalg.cross(p[:, 1:], dp[:, 1:], dim=1))
     omega, change = (x[:, 3 * T.bodies :].unflatten(1, (3, T.bodies)) for x in (motion.v[0], v))
     rate = change - torch.linalg.cross(omega, turn, dim=1)
-    along = [mbd.linearize(system, *ports, motion, time=float(t)) for t in motion.t]
+    along = [mbd.vibrations.linearize(system, *ports, motion, time=float(t)) for t in motion.t]
     names = [f"rotation {axis} of {body!r}" for axis in "xyz" for body in T.names]
     rows = [names.index(name) for name in along[0].states[:4]]
     assert all(x.states == along[0].states for x in along)
@@ -143,9 +145,9 @@ def test_a_state_of_another_system_is_refused():
     """With as many coordinates, it would give matrices of a state that is none."""
     state, (system, hinge) = mbd.equilibrium(hinged(1.0)[0]), hinged(2.0)
     ports = [mbd.signals.JointTorque(hinge)], [mbd.signals.JointAngle(hinge)]
-    assert mbd.linearize(system, *ports, mbd.equilibrium(system)).A[1, 0] == pytest.approx(-2.0 * 9.81 / 4.1)
+    assert mbd.vibrations.linearize(system, *ports, mbd.equilibrium(system)).A[1, 0] == pytest.approx(-2.0 * 9.81 / 4.1)
     with refused("state"):
-        mbd.linearize(system, *ports, state)
+        mbd.vibrations.linearize(system, *ports, state)
 
 
 def test_a_motion_of_another_system_or_in_phases_is_refused():
@@ -154,15 +156,15 @@ def test_a_motion_of_another_system_or_in_phases_is_refused():
     other, other_hinge = hinged(2.0)
     others = [mbd.signals.JointTorque(other_hinge)], [mbd.signals.JointAngle(other_hinge)]
     motion = mbd.simulate(system, 0.1, steps=10, start={"bob.angular_velocity": torch.tensor([0.0, 0.0, 3.0]).double()})
-    assert mbd.linearize(system, *ports, motion, time=0.05).states[0] == "rotation z of 'bob'"
+    assert mbd.vibrations.linearize(system, *ports, motion, time=0.05).states[0] == "rotation z of 'bob'"
     for call, path in (
         (
-            lambda: mbd.linearize(system, *ports, motion, time=0.051),
+            lambda: mbd.vibrations.linearize(system, *ports, motion, time=0.051),
             "time",
         ),
-        (lambda: mbd.linearize(system, *ports, motion, time=-1.0), "time"),
+        (lambda: mbd.vibrations.linearize(system, *ports, motion, time=-1.0), "time"),
         (
-            lambda: mbd.linearize(other, *others, motion),
+            lambda: mbd.vibrations.linearize(other, *others, motion),
             "state",
         ),
     ):
@@ -170,15 +172,17 @@ def test_a_motion_of_another_system_or_in_phases_is_refused():
             call()
     short = mbd.simulate(system, 0.1, steps=10, phases=[mbd.Phase(until=0.05), mbd.Phase(lock=["hinge"])])
     with refused("state"):
-        mbd.linearize(system, *ports, short)
+        mbd.vibrations.linearize(system, *ports, short)
     motion.status[0] = "failed: steps are too long"
     with pytest.raises(mbd.SimulationFailure, match="lane 0: failed: steps are too long"):
-        mbd.linearize(system, *ports, motion)
+        mbd.vibrations.linearize(system, *ports, motion)
 
 
 def test_the_response_at_a_pole_is_refused():
     body = mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0))
     rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y")
-    linear = mbd.linearize(mbd.System([body], [rail]), [mbd.signals.JointForce(rail)], [mbd.signals.JointTravel(rail)])
+    linear = mbd.vibrations.linearize(
+        mbd.System([body], [rail]), [mbd.signals.JointForce(rail)], [mbd.signals.JointTravel(rail)]
+    )
     with refused("frequencies"):
         linear.response([1.0, 0.0])

@@ -126,16 +126,16 @@ def test_zones_that_were_equal_at_the_start_move_apart():
 def test_fields_and_lamination_parameters(kind, varies):
     """Thick ones out of thin ones; the thickness is one for all cells, or that of each control."""
     mesh = mbd.mesh.rectangle(0.3, 0.1, cells=(6, 2))
-    field = mbd.FiberField(mesh, controls=(3, 1))
+    field = mbd.fibers.FiberField(mesh, controls=(3, 1))
     shape = torch.tensor([1.0, 1.5, 2.0] if varies else [1.0], dtype=torch.float64)
 
     def body(h: float) -> mbd.FlexibleBody:
         t = h * shape if varies else h * shape[0]
         if kind == "steered":
             layers = torch.stack([t, t], -1) if varies else t.expand(2)
-            laminate = mbd.SteeredLaminate(CARBON, mbd.deg([30.0, -40.0]), layers, field)
+            laminate = mbd.fibers.SteeredLaminate(CARBON, mbd.deg([30.0, -40.0]), layers, field)
         else:
-            laminate = mbd.LaminationParameters(CARBON, t, [0.2, 0.1, -0.1, 0.0], field=field)
+            laminate = mbd.lamination.LaminationParameters(CARBON, t, [0.2, 0.1, -0.1, 0.0], field=field)
         return mbd.FlexibleBody.plate("plate", mesh, laminate, modes=3, reference="left_edge")
 
     given, anew = body(5e-4), body(8e-3)

@@ -133,4 +133,4 @@ def test_bad_input_is_named():
 @pytest.mark.extensions
 def test_lamination_parameters_have_no_plies_that_fail():
     with refused("laminate"):
-        mbd.progressive_failure(mbd.LaminationParameters(PLY, T, [0, 0, 0, 0]), (1, 0, 0))
+        mbd.progressive_failure(mbd.lamination.LaminationParameters(PLY, T, [0, 0, 0, 0]), (1, 0, 0))

@@ -103,7 +103,7 @@ def test_derivatives_of_modes_agree_with_those_of_blocks(sparse, mass, monkeypat
         return SparseMatrix(K_form.pattern, K + x[:, None] * dK), M_x
 
     def response(x):
-        basis = mbd.modal_basis(*matrices(x), 5)
+        basis = mbd.reduction.modal_basis(*matrices(x), 5)
         weight = torch.linspace(0.0, 1.0, N, dtype=torch.float64)[:, None]
         return torch.cat([(weight * basis.vectors).sum(-2), basis.stiffness.diagonal(dim1=-2, dim2=-1)], -1)
 
@@ -193,12 +193,12 @@ def test_modes_and_static_solutions_of_one_design_share_one_factorization(monkey
     F = torch.ones(pattern.size, 1, dtype=torch.float64)
     mass = torch.ones(pattern.size, dtype=torch.float64)
     first = StaticLoads(pattern)(K, F)
-    basis = mbd.modal_basis(K, mass, 3)
+    basis = mbd.reduction.modal_basis(K, mass, 3)
     assert torch.equal(StaticLoads(pattern)(K, F), first)
     assert len(made) == 1
     K.values.mul_(2.0)  # other numbers in the same tensor
     assert (StaticLoads(pattern)(K, F) - 0.5 * first).abs().amax() < 1e-9 * first.abs().amax()
-    stiffer = mbd.modal_basis(K, mass, 3)
+    stiffer = mbd.reduction.modal_basis(K, mass, 3)
     assert (stiffer.stiffness - 2.0 * basis.stiffness).abs().amax() < 1e-9 * stiffer.stiffness.abs().amax()
     assert len(made) == 2
 

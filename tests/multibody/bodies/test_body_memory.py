@@ -82,5 +82,5 @@ def test_a_deck_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     deck = tmp_path / "plate.bdf"
     deck.write_text(model(cells=(40, 2)))
     with refused("wing.mesh") as caught:
-        mbd.read_bdf(deck, "wing", modes=4)
+        mbd.io.read_bdf(deck, "wing", modes=4)
     assert "738 degrees of freedom" in str(caught.value)

@@ -73,9 +73,9 @@ def test_supports_that_leave_a_body_movable_name_a_node():
     supports = {"left_edge": "u1 u2 u3 phi1 phi3"}
     words = r"supports of 'plate' leave it movable: .*node \d+ moves most, about y; its neighbors are \d+, "
     with pytest.raises(DesignFailure, match=words):
-        mbd.frequencies(body, supports)
+        mbd.natural_frequencies(body, supports)
     with pytest.raises(DesignFailure, match=words):
-        mbd.buckling(body, {"right_edge": (-1.0, 0.0, 0.0)}, supports)
+        mbd.buckling.linear_buckling(body, {"right_edge": (-1.0, 0.0, 0.0)}, supports)
 
 
 @pytest.mark.usefixtures("_either_factor")

@@ -51,7 +51,9 @@ def test_shares_of_the_strain_energy(thickness):
         for sign in (-1.0, 1.0):
             factors = [1.0 + sign * h if k == i else 1.0 for k in range(3)]
             ends.append(
-                mbd.frequencies(plate(factors=factors, thickness=thickness), None, 4).frequencies.numpy(force=True)
+                mbd.natural_frequencies(plate(factors=factors, thickness=thickness), None, 4).frequencies.numpy(
+                    force=True
+                )
             )
         shares = np.log(ends[1] / ends[0]) / h  # of w^2, over 2 h
         expected += 0.5 * loss * shares
@@ -99,8 +101,10 @@ def test_forward_mode_of_a_motion_is_reverse_mode():
 def test_fibers_that_steer():
     """Each cell has a law of its own; equal losses are those of every mode."""
     ply, mesh = mbd.Ply(**MODULI, loss=0.04), mbd.mesh.rectangle(length=0.4, width=0.1, cells=(6, 2))
-    field = mbd.FiberField(mesh, controls=(3, 1))
-    steered = mbd.SteeredLaminate(ply, mbd.deg(torch.tensor([[10.0, 5.0], [50.0, 0.0], [80.0, 20.0]])), 1e-3, field)
+    field = mbd.fibers.FiberField(mesh, controls=(3, 1))
+    steered = mbd.fibers.SteeredLaminate(
+        ply, mbd.deg(torch.tensor([[10.0, 5.0], [50.0, 0.0], [80.0, 20.0]])), 1e-3, field
+    )
     body = mbd.FlexibleBody.plate("plate", mesh, steered, modes=3, reference="left")
     np.testing.assert_allclose(mbd.equilibrium(clamped(body)).damping_ratios[0].numpy(force=True), 0.02, rtol=1e-9)
 
@@ -111,9 +115,9 @@ def test_fibers_that_steer():
 def test_a_loss_factor_is_identified():
     """Of the soft layer, by the damping ratios of a twin."""
     truth = mbd.equilibrium(clamped(plate()))
-    data = mbd.ModalData(truth.frequencies[0].detach(), truth.damping_ratios[0].detach())
+    data = mbd.identification.ModalData(truth.frequencies[0].detach(), truth.damping_ratios[0].detach())
     start = clamped(plate((0.02, mbd.variable(0.1), 0.05)))
-    fit = mbd.identify(mbd.Experiment(start, data), ["plate.laminate.ply1.loss"])
+    fit = mbd.identification.identify(mbd.identification.Experiment(start, data), ["plate.laminate.ply1.loss"])
     assert fit["plate.laminate.ply1.loss"] == pytest.approx(0.3, rel=1e-6)
 
 
@@ -125,4 +129,4 @@ def test_what_has_no_loss_is_refused():
     with refused("ply"):
         mbd.sections.strip(0.03, ply, mbd.deg([0.0]), 1e-3)
     with refused("ply"):
-        mbd.LaminationParameters(ply, [0.0] * 4, [0.0] * 4, 1e-3)
+        mbd.lamination.LaminationParameters(ply, [0.0] * 4, [0.0] * 4, 1e-3)

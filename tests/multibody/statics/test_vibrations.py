@@ -128,12 +128,12 @@ def test_a_second_derivative_is_refused():
 def test_reference_nodes_are_clamped_without_supports():
     body = panel()
     kept = body.structure()["Kr"].detach()
-    assert_close(mbd.frequencies(body).frequencies[0].detach(), kept[0, 0].sqrt() / (2.0 * torch.pi))
-    assert_close(mbd.frequencies(body, {"left_edge": "all"}, 2)[:2], mbd.frequencies(body, None, 2)[:2])
+    assert_close(mbd.natural_frequencies(body).frequencies[0].detach(), kept[0, 0].sqrt() / (2.0 * torch.pi))
+    assert_close(mbd.natural_frequencies(body, {"left_edge": "all"}, 2)[:2], mbd.natural_frequencies(body, None, 2)[:2])
 
 
 def test_shapes_are_those_of_the_supports():
-    result = mbd.frequencies(panel(), EDGES, number=2)
+    result = mbd.natural_frequencies(panel(), EDGES, number=2)
     assert result.status == "ok"
     assert not result.shapes.requires_grad
     assert not bool(result.shapes[list(panel().mesh.node_sets["top_edge"]), 2].any())
@@ -143,7 +143,7 @@ def test_shapes_are_those_of_the_supports():
 @pytest.mark.parametrize("cells", [(2, 2), (12, 8)])
 def test_rigid_motions_of_a_free_body_are_left_out(cells):
     body = panel(cells)
-    result = mbd.frequencies(body, {}, number=3)
+    result = mbd.natural_frequencies(body, {}, number=3)
     assert result.status == "six rigid motions of the free body are left out"
     assert result.frequencies[0].item() > 10.0
     mass = body.assembly.masses()
@@ -155,7 +155,7 @@ def test_rigid_motions_of_a_free_body_are_left_out(cells):
 @pytest.mark.parametrize("cells", [(2, 2), (12, 8)])
 def test_a_movable_body_is_refused(supports, cells):
     with refused("panel.supports", ANY, "a frequency is zero"):
-        mbd.frequencies(panel(cells), supports)
+        mbd.natural_frequencies(panel(cells), supports)
 
 
 def test_the_node_of_a_zero_frequency_is_that_of_the_design_that_has_it():
@@ -174,7 +174,7 @@ def test_the_node_of_a_zero_frequency_is_that_of_the_design_that_has_it():
 def test_a_body_that_is_hardly_stiff_is_not_taken_for_movable():
     film = mbd.Laminate(CARBON, [0.3], [3e-4])
     body = mbd.FlexibleBody.plate("film", mbd.mesh.rectangle(12.0, 1.0, (20, 2)), film, modes=1, reference="left_edge")
-    assert 0.0 < mbd.frequencies(body).frequencies.item() < 3e-3
+    assert 0.0 < mbd.natural_frequencies(body).frequencies.item() < 3e-3
 
 
 def test_springs_between_beams_vibrate():
@@ -188,7 +188,7 @@ def test_springs_between_beams_vibrate():
     )
     section = mbd.sections.tube(0.03, CARBON, [0.3], 5e-4)
     body = mbd.FlexibleBody("link", mesh, {"beam": Beams(mesh, section), "spring": spring}, 1, reference=0)
-    assert mbd.frequencies(body).frequencies.item() > 0.0
+    assert mbd.natural_frequencies(body).frequencies.item() > 0.0
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_springs_between_beams_vibrate():
 def test_wrong_arguments_are_named(change, path):
     arguments: dict[str, Any] = {"body": panel((2, 2))} | change
     with refused(path):
-        mbd.frequencies(**arguments)
+        mbd.natural_frequencies(**arguments)
 
 
 def test_bodies_of_matrices_are_refused():
@@ -220,4 +220,4 @@ def test_bodies_of_matrices_are_refused():
     K, M = (x.dense().detach() for x in (assembly.stiffness(), assembly.mass()) if isinstance(x, SparseMatrix))
     body = mbd.FlexibleBody.from_matrices("bar", M, K, line.nodes, modes=1)
     with refused("bar"):
-        mbd.frequencies(body)
+        mbd.natural_frequencies(body)

@@ -87,7 +87,7 @@ RULES = {"balanced": {"balanced": True}, "45 degrees between neighbors": {"max_s
 @pytest.mark.parametrize("name", RULES)
 def test_rules_of_a_laminate_are_kept(name):
     """The best of all stacks that keep the rules, by enumeration."""
-    problem, rules = angles(), mbd.LaminationRules(**RULES[name])
+    problem, rules = angles(), mbd.lamination.LaminationRules(**RULES[name])
     result = optimize_discrete(problem, 15.0, starts=sobol(16, seed=3, include_initial=True), admits=rules.admits)
     X = np.array([x for x in product(np.arange(-90.0, 91.0, 15.0), repeat=4) if rules.admits(x)])
     F, C = np.asarray(problem.f(list(X.T))), problem.c(list(X.T))[0]
@@ -173,7 +173,7 @@ def waves(slope: float = -0.2) -> Analytic:
 @pytest.mark.parametrize("boxes", [0, 1000])
 def test_a_worst_case_is_that_of_each_design(slope, allowed, boxes):
     """The extra variable is no choice: neighbors are compared by their own worst cases, and so are their values."""
-    robust = mbd.RobustProblem(waves(slope), 0.05, "worst")
+    robust = mbd.optimization.RobustProblem(waves(slope), 0.05, "worst")
     result = optimize_discrete(robust, allowed, max_boxes=boxes)
     values = Grid(robust, allowed, robust.lower, robust.upper, None).values[0]
     worst = {x: max(waves(slope).f([x + d]) for d in (-0.05, 0.05)) for x in values.tolist()}
@@ -190,7 +190,7 @@ def test_a_worst_case_is_that_of_each_design(slope, allowed, boxes):
 
 def test_the_extra_variable_takes_no_increments():
     with refused("allowed.beta", 1.0):
-        optimize_discrete(mbd.RobustProblem(waves(), 0.05, "worst"), [1.0, 1.0])
+        optimize_discrete(mbd.optimization.RobustProblem(waves(), 0.05, "worst"), [1.0, 1.0])
 
 
 def test_angles_are_neighbors_across_their_ends():

@@ -48,7 +48,7 @@ class Bowl:
 
 @pytest.fixture(scope="module")
 def shared():
-    with mbd.Processes(Bowl(0.25), 2) as problem:
+    with mbd.optimization.Processes(Bowl(0.25), 2) as problem:
         problem.wait()
         yield problem
 
@@ -68,8 +68,8 @@ def test_all_else_is_the_problem_s_own(shared):
 
 
 def test_an_optimizer_does_not_notice(shared):
-    starts = mbd.sobol(6, seed=3)
-    together, alone = (mbd.multistart(problem, "slsqp", starts) for problem in (shared, Bowl(0.25)))
+    starts = mbd.optimization.sobol(6, seed=3)
+    together, alone = (mbd.optimization.multistart(problem, "slsqp", starts) for problem in (shared, Bowl(0.25)))
     assert [r.value for r in together.results] == [r.value for r in alone.results]
     assert together.converged == 6
 
@@ -91,13 +91,13 @@ def test_a_problem_that_cannot_travel_is_refused():
     bowl = Bowl(0.0)
     bowl.center = threading.Lock()  # pyright: ignore[reportAttributeAccessIssue]
     with refused("problem", ANY, "cannot pickle"):
-        mbd.Processes(bowl, 2)
+        mbd.optimization.Processes(bowl, 2)
 
 
 @pytest.mark.parametrize("count", [0, -1, True, 1.5, "two"])
 def test_a_count_that_is_none(count):
     with refused("count"):
-        mbd.Processes(Bowl(0.0), count)
+        mbd.optimization.Processes(Bowl(0.0), count)
 
 
 SCRIPT = """
@@ -106,7 +106,7 @@ import torchmbd as mbd
 from tests.optimization.multistart.test_workers import Bowl
 
 if __name__ == "__main__":
-    with mbd.Processes(Bowl(0.0), 2) as shared:
+    with mbd.optimization.Processes(Bowl(0.0), 2) as shared:
         shared.wait()
         print("ready", flush=True)
         time.sleep(60)

@@ -118,7 +118,7 @@ def test_a_front(write):
 def test_tolerances(write, kind):
     design = {ANGLES: {**DEGREES, "tolerance": [2.5, 0]}}
     file = write(simulate=SHORT, design=design, robust=kind, **NONE)
-    own = mbd.RobustProblem(problem(), mbd.deg([2.5, 0.0]), kind)
+    own = mbd.optimization.RobustProblem(problem(), mbd.deg([2.5, 0.0]), kind)
     assert same(file, own).kind == kind
 
 
@@ -128,7 +128,7 @@ def test_the_worst_case_of_what_is_to_be_large(write):
     first = {"frequency": {"body": "rod", "number": 1}}
     file = write(simulate=SHORT, design=design, minimize=None, maximize=first, robust="worst", **NONE)
     large = problem(minimize=None, maximize=mbd.Frequency("rod", 1))
-    own = mbd.RobustProblem(large, mbd.deg(2.5), "worst")
+    own = mbd.optimization.RobustProblem(large, mbd.deg(2.5), "worst")
     same(file, own)
     result = mbd.optimize(own, method="slsqp", max_iterations=15, progress=False)
     around = [e.objective for e in large.evaluate(result.x[:2] + own.shifts, False)]

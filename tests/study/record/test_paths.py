@@ -69,8 +69,8 @@ def build(layers: int = 2) -> mbd.System:
     ply = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
     laminate = mbd.Laminate(ply, angles=mbd.deg([45.0, -45.0]), thickness=7.5e-3 / layers)
     mesh = HERE / "rod.inp"
-    rod = mbd.read_mesh(mesh, "rod", laminate, 2, reference="left", axes=[[1, 0, 0], [0, 0, -1], [0, 1, 0]])
-    plate = mbd.read_bdf(HERE / "plate.bdf", "plate", 1)
+    rod = mbd.io.read_mesh(mesh, "rod", laminate, 2, reference="left", axes=[[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    plate = mbd.io.read_bdf(HERE / "plate.bdf", "plate", 1)
     ground = mbd.Ground()
     push = float(np.loadtxt(HERE / "push.txt"))
     joints = [mbd.Fixed(ground.at(), rod.at("left")), mbd.Fixed(rod.at("right"), plate.at(0))]

@@ -36,8 +36,8 @@ from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.statics.supported_body import SupportedBody, Supports
 
 
-class Buckling(NamedTuple):
-    """The result of `buckling`.
+class BucklingModes(NamedTuple):
+    """The result of `linear_buckling`.
 
     factors        buckling factors of the loads [*lanes, number] [-], ascending; inf if the body does not have another
                    buckling shape
@@ -48,7 +48,7 @@ class Buckling(NamedTuple):
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
     >>> column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(2.0, 4), tube, reference="start")
-    >>> found = mbd.buckling(column, {"end": (1.0, 0.0, 0.0)})  # a pull
+    >>> found = mbd.buckling.linear_buckling(column, {"end": (1.0, 0.0, 0.0)})  # a pull
     >>> found.factors.item(), found.status
     (inf, 'no buckling: the loads stiffen the body in all further shapes')
     """
@@ -59,13 +59,13 @@ class Buckling(NamedTuple):
     status: str
 
 
-def buckling(
+def linear_buckling(
     body: FlexibleBody,
     loads: Loads,
     supports: Supports | None = None,
     number: int = 1,
     changes: Changes | None = None,
-) -> Buckling:
+) -> BucklingModes:
     """Find the lowest positive factors of loads at which a body buckles; differentiable with respect to its parameters.
 
     body      a FlexibleBody
@@ -81,7 +81,7 @@ def buckling(
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
     >>> column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(2.0, 8), tube, reference="start")
-    >>> found = mbd.buckling(column, {"end": (-1000.0, 0.0, 0.0)})
+    >>> found = mbd.buckling.linear_buckling(column, {"end": (-1000.0, 0.0, 0.0)})
     >>> euler = torch.pi**2 * tube.stiffness()[4, 4] / (2 * 2.0)**2
     >>> round((1000.0 * found.factors[0] / euler).item(), 2)  # shear
     1.0
@@ -92,7 +92,7 @@ def buckling(
 class BucklingCase:
     """A body with loads and supports, ready to find its buckling factors in any design: `case(number)`.
 
-    body, loads, supports, changes as in `buckling`. Raises InputError if these are wrong.
+    body, loads, supports, changes as in `linear_buckling`. Raises InputError if these are wrong.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class BucklingCase:
             )
         self._static = StaticLoads(supported.pattern)
 
-    def __call__(self, number: int = 1) -> Buckling:
+    def __call__(self, number: int = 1) -> BucklingModes:
         """The lowest positive factors, and shapes, of the present design.
 
         Raises InputError if the supports leave the body movable, or number is not possible.
@@ -145,7 +145,7 @@ class BucklingCase:
         factors, shapes = reciprocal(inverse), supported.shapes(vectors.detach())
         buckles = torch.isfinite(factors)
         status = "ok" if all_true(buckles) else "no buckling: the loads stiffen the body in all further shapes"
-        return Buckling(factors, shapes * buckles[..., None, None, :], states @ share, status)
+        return BucklingModes(factors, shapes * buckles[..., None, None, :], states @ share, status)
 
 
 def reciprocal(inverse: Float[Tensor, "*lanes"]) -> Float[Tensor, "*lanes"]:

@@ -33,21 +33,21 @@ _CASES: WeakKeyDictionary[nn.Module, dict[str, BucklingCase]] = WeakKeyDictionar
 
 @dataclass(frozen=True)
 class BucklingFactor(Measure):
-    """Buckling factor [lanes] [-] of a body: for static loads (mbd.buckling), or the smallest factor along the motion.
+    """Buckling factor [lanes] [-] of a body: for static loads (`linear_buckling`), or the smallest factor along the motion.
 
     body      its name
     loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total; None without changes: the stress of the
               motion, 1 over the peak of BucklingIndex
     supports  nodes -> degrees of freedom that are held, as "u1 u3", or imposed; None: the reference nodes
     number    1 is the lowest
-    changes   of temperature or moisture that grow with the loads, as in `buckling`; loads=None then means no loads
+    changes   of temperature or moisture that grow with the loads, as in `linear_buckling`; loads=None then means no loads
     If several factors are equal, the gradient is their mean gradient, as for `Frequency`.
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
     >>> column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(2.0, 4), tube, reference="start")
     >>> system = mbd.System([column], [mbd.Fixed(mbd.Ground().at(0, 0, 0), column.at("start"))])
-    >>> safe = mbd.BucklingFactor("column", {"end": (-1000.0, 0.0, 0.0)}) >= 1.5
+    >>> safe = mbd.buckling.BucklingFactor("column", {"end": (-1000.0, 0.0, 0.0)}) >= 1.5
     >>> motion = mbd.simulate(system, duration=1e-3, steps=2)
     >>> round(safe.measure.value(motion).item(), 1)
     3.0
@@ -56,7 +56,7 @@ class BucklingFactor(Measure):
     unit: ClassVar[str] = ""
     infinite_note: ClassVar[str] = (
         "the loads only stiffen the body. Allowed: no such constraint, or for the loads of the motion a limit on "
-        "mbd.Max(mbd.BucklingIndex(...)), which is zero there"
+        "mbd.Max(mbd.buckling.BucklingIndex(...)), which is zero there"
     )
     body: str
     loads: Mapping[Any, Sequence[float]] | None = None

@@ -5,7 +5,7 @@
 The index is 1 / buckling factor of the stress at that time: of the retained modes as they move, and of the static
 displacements that inertia, gravity, joints, forces and changes of temperature make besides (unit_loads.py). Where it is
 one, the body buckles on its supports under loads that stay as they are.
-Assumed: as in `buckling`; inertia of the bent body beyond what the retained modes feel is small against that of the
+Assumed: as in `linear_buckling`; inertia of the bent body beyond what the retained modes feel is small against that of the
 undeformed. Checked in tests/contracts/test_responses.py, tests/extensions/buckling/test_buckling_index.py.
 """
 
@@ -46,7 +46,7 @@ class BucklingIndex(History):
     number    1 is the largest index
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
-    >>> index = mbd.BucklingIndex("arm")
+    >>> index = mbd.buckling.BucklingIndex("arm")
     >>> index(motion).shape
     torch.Size([1, 41])
     >>> mbd.Max(index) <= 0.5  # as a constraint

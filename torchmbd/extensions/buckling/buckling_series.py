@@ -44,7 +44,7 @@ GROWTH = 24  # most shapes that a round adds
 class BucklingSeries:
     """Buckling indices of a body on supports, for any series of stress states.
 
-    body, supports   as in `buckling`, without imposed displacements. Raises InputError if these are wrong
+    body, supports   as in `linear_buckling`, without imposed displacements. Raises InputError if these are wrong
     """
 
     def __init__(self, body: FlexibleBody, supports: Supports | None = None) -> None:

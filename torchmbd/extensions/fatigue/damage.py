@@ -63,7 +63,7 @@ class EquivalentLoad(OfHistory):
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(speed=0.1), 10.0, steps=500)
     >>> swing = mbd.Position("bob", "x")  # five cycles of nearly 64 mm; the two at the ends count half
-    >>> round(mbd.EquivalentLoad(swing, exponent=4.0, cycles=5.0)(motion).item(), 3)
+    >>> round(mbd.fatigue.EquivalentLoad(swing, exponent=4.0, cycles=5.0)(motion).item(), 3)
     0.062
     """
 
@@ -100,9 +100,9 @@ class Damage(OfHistory):
     curve    SNCurve of the material
     repeats  number of repetitions of the motion, positive [-]
 
-    >>> curve = mbd.SNCurve([(1e3, 400e6), (1e6, 200e6)])
+    >>> curve = mbd.fatigue.SNCurve([(1e3, 400e6), (1e6, 200e6)])
     >>> stress = 32.0 / (3.1416 * 0.02**3) * mbd.Reaction("hinge", "z", kind="torque")  # of a round shaft
-    >>> limit = mbd.Damage(stress, curve=curve, repeats=1e4) <= 1.0
+    >>> limit = mbd.fatigue.Damage(stress, curve=curve, repeats=1e4) <= 1.0
     """
 
     curve: SNCurve | None = None
@@ -137,7 +137,7 @@ class FatigueDamage(Measure):
     repeats   number of repetitions of the motion, positive [-]
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.2, steps=100)
-    >>> mbd.FatigueDamage("arm", exponent={"11": 14, "22": 10}, repeats=1e6)(motion).shape
+    >>> mbd.fatigue.FatigueDamage("arm", exponent={"11": 14, "22": 10}, repeats=1e6)(motion).shape
     torch.Size([1])
     """
 

@@ -34,7 +34,7 @@ def rainflow(y: Any) -> Cycles:
 
     y   [..., n], a tensor or numbers; a history with values that are not finite has ranges and means nan
 
-    >>> cycles = mbd.rainflow([-2.0, 1, -3, 5, -1, 3, -4, 4, -2])
+    >>> cycles = mbd.fatigue.rainflow([-2.0, 1, -3, 5, -1, 3, -4, 4, -2])
     >>> sorted({float(r): float(cycles.count[cycles.range == r].sum()) for r in cycles.range if r}.items())
     [(3.0, 0.5), (4.0, 1.5), (6.0, 0.5), (8.0, 1.0), (9.0, 0.5)]
     """

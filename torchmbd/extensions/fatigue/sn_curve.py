@@ -39,7 +39,7 @@ class SNCurve:
     compression   static compressive strength [Pa]; None: equal to `tension`
     Raises InputError that names a point out of order.
 
-    >>> curve = mbd.SNCurve([(1e3, 400e6), (1e6, 200e6)], tension=1000e6)
+    >>> curve = mbd.fatigue.SNCurve([(1e3, 400e6), (1e6, 200e6)], tension=1000e6)
     >>> curve.cycles(torch.tensor([400e6, 200e6]), torch.tensor([0.0, 0.0]))
     tensor([1.0000e+03, 1.0000e+06])
     >>> bool(curve.cycles(torch.tensor(200e6), torch.tensor(500e6)) < 1.001e3)  # Goodman: 400e6 at mean zero

@@ -48,10 +48,10 @@ class FiberField:
     slopes    gradient of W in mesh axes [cells, 3, r] [1/m]
 
     >>> mesh = mbd.mesh.rectangle(0.4, 0.1, cells=(16, 4))
-    >>> field = mbd.FiberField(mesh, controls=(5, 3))
+    >>> field = mbd.fibers.FiberField(mesh, controls=(5, 3))
     >>> field
     FiberField(15 controls, 64 cells)
-    >>> laminate = mbd.SteeredLaminate(mbd.examples.carbon(), mbd.deg([30, -30]), thickness=1e-3, field=field)
+    >>> laminate = mbd.fibers.SteeredLaminate(mbd.examples.carbon(), mbd.deg([30, -30]), thickness=1e-3, field=field)
     >>> laminate.angles.shape  # of each control, [rad]
     torch.Size([15, 2])
     """

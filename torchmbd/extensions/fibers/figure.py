@@ -29,8 +29,8 @@ def fiber_paths(body: Any, density: float = 1.0) -> Figure:
     density  of the lines [-]
 
     >>> strip = mbd.examples.arm().body("arm").mesh
-    >>> laminate = mbd.SteeredLaminate(
-    ...     mbd.examples.carbon(), mbd.deg([45, -45]), 1e-3, mbd.FiberField(strip, (3, 2), degree=1)
+    >>> laminate = mbd.fibers.SteeredLaminate(
+    ...     mbd.examples.carbon(), mbd.deg([45, -45]), 1e-3, mbd.fibers.FiberField(strip, (3, 2), degree=1)
     ... )
     >>> figure = mbd.viz.fiber_paths(mbd.examples.arm(laminate=laminate).body("arm"))
     >>> [axes.get_title() for axes in figure.axes]

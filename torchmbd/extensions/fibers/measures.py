@@ -1,7 +1,7 @@
 """Curvature and divergence of steered fiber paths, which layup machines limit, as measures of a design.
 
-    mbd.FiberCurvature("rod") <= 1 / 0.4            steering radius of at least 0.4 m
-    mbd.FiberDivergence("rod") <= 0.5               neighboring paths drift apart by at most 5 % in 0.1 m
+    mbd.fibers.FiberCurvature("rod") <= 1 / 0.4            steering radius of at least 0.4 m
+    mbd.fibers.FiberDivergence("rod") <= 0.5               neighboring paths drift apart by at most 5 % in 0.1 m
 
 The measure is the largest absolute value over the n cells and layers (steered_laminate.py), which is not smooth
 where another cell becomes the largest. With a power p it is the p-norm, smooth and too large by at most the factor n^(1/p):
@@ -62,11 +62,11 @@ class FiberCurvature(_PathMeasure):
     power  None: exact; a number p of at least 2: smooth, the p-norm over cells and layers
 
     >>> strip = mbd.examples.arm().body("arm").mesh
-    >>> laminate = mbd.SteeredLaminate(
-    ...     mbd.examples.carbon(), mbd.deg([45, -45]), 1e-3, mbd.FiberField(strip, (3, 2), degree=1)
+    >>> laminate = mbd.fibers.SteeredLaminate(
+    ...     mbd.examples.carbon(), mbd.deg([45, -45]), 1e-3, mbd.fibers.FiberField(strip, (3, 2), degree=1)
     ... )
     >>> motion = mbd.simulate(mbd.examples.arm(laminate=laminate), 0.01, steps=4)
-    >>> value, gradient = mbd.FiberCurvature("arm").value_and_gradient(motion)
+    >>> value, gradient = mbd.fibers.FiberCurvature("arm").value_and_gradient(motion)
     >>> value.item(), gradient.shape  # straight at the start; 6 controls of 2 layers
     (0.0, torch.Size([1, 12]))
     """
@@ -83,11 +83,11 @@ class FiberDivergence(_PathMeasure):
     power  None: exact; a number p of at least 2: smooth, the p-norm over cells and layers
 
     >>> strip = mbd.examples.arm().body("arm").mesh
-    >>> laminate = mbd.SteeredLaminate(
-    ...     mbd.examples.carbon(), mbd.deg([45, -45]), 1e-3, mbd.FiberField(strip, (3, 2), degree=1)
+    >>> laminate = mbd.fibers.SteeredLaminate(
+    ...     mbd.examples.carbon(), mbd.deg([45, -45]), 1e-3, mbd.fibers.FiberField(strip, (3, 2), degree=1)
     ... )
     >>> motion = mbd.simulate(mbd.examples.arm(laminate=laminate), 0.01, steps=4)
-    >>> round(mbd.FiberDivergence("arm")(motion).item(), 3)
+    >>> round(mbd.fibers.FiberDivergence("arm")(motion).item(), 3)
     0.0
     """
 
@@ -103,7 +103,7 @@ def steered_parts(system: System, name: str) -> list[Any]:
         raise InputError(
             "body",
             name,
-            allowed="a plate of mbd.SteeredLaminate(...)",
+            allowed="a plate of mbd.fibers.SteeredLaminate(...)",
             state="has no steered laminate",
             noun=f"body {name!r}",
         )

@@ -54,8 +54,8 @@ class SteeredLaminate(Laminate):
     `stiffness`, `mass_per_area`, `layer_angles` and so on have an axis of cells: [..., cells, ...].
 
     >>> mesh = mbd.mesh.rectangle(0.4, 0.1, cells=(16, 4))
-    >>> field = mbd.FiberField(mesh, controls=(5, 3))
-    >>> laminate = mbd.SteeredLaminate(mbd.examples.carbon(), mbd.deg([30, -30]), thickness=1e-3, field=field)
+    >>> field = mbd.fibers.FiberField(mesh, controls=(5, 3))
+    >>> laminate = mbd.fibers.SteeredLaminate(mbd.examples.carbon(), mbd.deg([30, -30]), thickness=1e-3, field=field)
     >>> blade = mbd.FlexibleBody.plate("blade", mesh, laminate, modes=4, reference="left_edge")
     >>> [(name, tuple(x.shape)) for name, x in blade.named_parameters()]
     [('laminate.angles', (15, 2)), ('laminate.thickness', (2,))]

@@ -1,4 +1,7 @@
-"""Identification: unknowns of a model from what was measured, with exact Jacobians, in Python and in experiment files."""
+"""Identification: unknowns of a model from what was measured, with exact Jacobians, in Python and in experiment files.
+
+>>> channel = mbd.identification.Channel(mbd.Position("bob", "x"), deviation=1e-3)  # measured with an error of 1 mm
+"""
 
 from torchmbd.extensions.identification.channel import Channel
 from torchmbd.extensions.identification.experiment import Experiment

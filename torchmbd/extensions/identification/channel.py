@@ -38,7 +38,7 @@ class Channel:
     delay      of the sensor [s];  gain [-];  offset, in the SI unit of the response: numbers, or mbd.variable(...) of
                one, which makes it an unknown "<channel>.delay"
 
-    >>> channel = mbd.Channel(mbd.Position("tip", "x"), unit="mm", deviation=1e-4, delay=mbd.variable(0.0))
+    >>> channel = mbd.identification.Channel(mbd.Position("tip", "x"), unit="mm", deviation=1e-4, delay=mbd.variable(0.0))
     >>> list(channel.unknowns)
     ['delay']
     """
@@ -99,11 +99,13 @@ class Channel:
 def channels_of(channels: Any) -> dict[str, Channel]:
     """Channels by name, of channels or of histories; InputError for anything else."""
     if not isinstance(channels, Mapping) or not channels:
-        raise InputError("channels", channels, "name -> mbd.Channel(...), or a history; at least one")
+        raise InputError("channels", channels, "name -> mbd.identification.Channel(...), or a history; at least one")
     result = {}
     for name, x in channels.items():
         if not isinstance(name, str) or not isinstance(x, (Channel, History)):
-            raise InputError(("channels", name), x, "mbd.Channel(...), or a history", noun=f"channel {name!r}")
+            raise InputError(
+                ("channels", name), x, "mbd.identification.Channel(...), or a history", noun=f"channel {name!r}"
+            )
         result[name] = x if isinstance(x, Channel) else Channel(x)
     return result
 

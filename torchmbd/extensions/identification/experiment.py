@@ -28,7 +28,7 @@ class Experiment(Summary):
     """A system, and what was measured of it.
 
     system        the model
-    measurements  a measurement, such as mbd.TimeSeries(...), or a list of them
+    measurements  a measurement, such as mbd.identification.TimeSeries(...), or a list of them
     settings      parameter -> value [SI] in this experiment, for parameters that are not unknowns
     duration      of the motion [s]; None: until the last measured time
     steps         equal steps of the motion; None: as many as `simulate` chooses for the first motion. `identify` takes more
@@ -36,8 +36,8 @@ class Experiment(Summary):
     method, phases, backend, start, options   as in `simulate`
 
     >>> t = np.linspace(0.0, 1.0, 50)
-    >>> swing = mbd.TimeSeries({"t": t, "x": np.sin(t)}, {"x": mbd.Position("bob", "x")})
-    >>> mbd.Experiment(mbd.examples.pendulum(), swing).channels
+    >>> swing = mbd.identification.TimeSeries({"t": t, "x": np.sin(t)}, {"x": mbd.Position("bob", "x")})
+    >>> mbd.identification.Experiment(mbd.examples.pendulum(), swing).channels
     ['x']
     """
 
@@ -58,7 +58,7 @@ class Experiment(Summary):
             raise InputError("system", system, "a System")
         single = [measurements] if isinstance(measurements, Measurement) else measurements
         self.measurements: list[Measurement] = list_of(
-            "measurements", single, Measurement, "a measurement, such as mbd.TimeSeries(...)"
+            "measurements", single, Measurement, "a measurement, such as mbd.identification.TimeSeries(...)"
         )
         if not self.measurements:
             raise InputError("measurements", measurements, "at least one measurement", state="is empty")

@@ -55,7 +55,7 @@ class FrequencyResponseData(Measurement):
     >>> [hinge] = mbd.examples.pendulum().joints
     >>> shown = {"f": [0.2, 0.4], "swing": [0.1 + 0.0j, -0.2 - 0.01j]}
     >>> torque, angle = mbd.signals.JointTorque(hinge), mbd.signals.JointAngle(hinge)
-    >>> measured = mbd.FrequencyResponseData(shown, torque, {"swing": angle}, frequency="f")
+    >>> measured = mbd.identification.FrequencyResponseData(shown, torque, {"swing": angle}, frequency="f")
     >>> [(block.channel, len(block.measured)) for block in measured.blocks]
     [('swing real', 2), ('swing imaginary', 2)]
     """

@@ -61,8 +61,9 @@ class Identification(Summary):
 
     >>> x = mbd.Position("bob", "x")
     >>> truth = mbd.simulate(mbd.examples.pendulum(), 1.0, steps=50)
-    >>> swing = mbd.TimeSeries({"t": truth.t, "x": 0.5 * x(truth)[0]}, {"x": mbd.Channel(x, gain=mbd.variable(1.0))})
-    >>> fit = mbd.identify(mbd.Experiment(mbd.examples.pendulum(), swing, steps=50))
+    >>> sensor = mbd.identification.Channel(x, gain=mbd.variable(1.0))
+    >>> swing = mbd.identification.TimeSeries({"t": truth.t, "x": 0.5 * x(truth)[0]}, {"x": sensor})
+    >>> fit = mbd.identification.identify(mbd.identification.Experiment(mbd.examples.pendulum(), swing, steps=50))
     >>> fit.names, round(fit["x.gain"], 6), fit.status
     (['x.gain[0]'], 0.5, 'converged')
     """

@@ -79,7 +79,7 @@ def identify(
     validation       experiments that are held out: the fitted model is compared with them
     loss, f_scale    "linear", "soft_l1", "huber", "cauchy" or "arctan", and the residual, in deviations, beyond which one
                      counts as an outlier; as in scipy.optimize.least_squares. Priors are never outliers
-    starts           mbd.sobol(...), mbd.latin_hypercube(...), or a list of designs; None: the start alone
+    starts           mbd.optimization.sobol(...) or latin_hypercube(...), or a list of designs; None: the start alone
     tolerance        largest error of the unknowns at the end of the search, as a share of their standard deviations
     max_evaluations  simulated designs of each start at most
     max_time         limit of time [s]: no design is simulated after it, and the best by then is the result, with the status
@@ -96,9 +96,10 @@ def identify(
     >>> x = mbd.Position("bob", "x")
     >>> truth = mbd.simulate(mbd.examples.pendulum(speed=1.0), 2.0, steps=100)
     >>> shown = {"t": truth.t + 0.03, "x": 2.0 * x(truth)[0]}  # a sensor that is late, and shows twice the distance
-    >>> sensor = mbd.Channel(x, deviation=1e-3, delay=mbd.variable(0.0), gain=mbd.variable(1.0))
-    >>> swing = mbd.Experiment(mbd.examples.pendulum(), mbd.TimeSeries(shown, {"x": sensor}), steps=100)
-    >>> fit = mbd.identify(swing, bounds={"x.delay": (0.0, 0.1)})
+    >>> sensor = mbd.identification.Channel(x, deviation=1e-3, delay=mbd.variable(0.0), gain=mbd.variable(1.0))
+    >>> series = mbd.identification.TimeSeries(shown, {"x": sensor})
+    >>> swing = mbd.identification.Experiment(mbd.examples.pendulum(), series, steps=100)
+    >>> fit = mbd.identification.identify(swing, bounds={"x.delay": (0.0, 0.1)})
     >>> fit.status, round(fit["x.delay"], 4), round(fit["x.gain"], 4)
     ('converged', 0.03, 2.0)
     """
@@ -226,10 +227,12 @@ def _by_name(what: str, experiments: Any, optional: bool = False) -> dict[str, E
     if isinstance(experiments, Sequence) and not isinstance(experiments, str):
         experiments = {f"experiment {k + 1}": x for k, x in enumerate(experiments)}
     if not isinstance(experiments, Mapping) or not (experiments or optional):
-        raise InputError(str(what), experiments, "mbd.Experiment(...), a list, or name -> Experiment")
+        raise InputError(str(what), experiments, "mbd.identification.Experiment(...), a list, or name -> Experiment")
     for name, x in experiments.items():
         if not isinstance(name, str) or not isinstance(x, Experiment):
-            raise InputError(str(what), allowed="name -> mbd.Experiment(...)", state=f"has {name!r}: {x!r}")
+            raise InputError(
+                str(what), allowed="name -> mbd.identification.Experiment(...)", state=f"has {name!r}: {x!r}"
+            )
     return dict(experiments)
 
 

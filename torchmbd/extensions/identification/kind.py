@@ -72,7 +72,7 @@ def _check(plan: IdentificationPlan, console: Console) -> int:
 
 
 IDENTIFY = Kind(
-    "fits a model; allowed here: a study or a sweep; mbd.identify in Python",
+    "fits a model; allowed here: a study or a sweep; mbd.identification.identify in Python",
     IdentificationFile,
     read_identification,
     identification_key,

@@ -72,7 +72,7 @@ class ModalData(Measurement):
     least_mac    smallest MAC (modal assurance criterion) of a measured mode and its partner in the model
     options      of `equilibrium`: spin, center, observer for vibrations in a steady rotation, times
 
-    >>> modes = mbd.ModalData([0.35, 1.2], damping=[0.01, np.nan])
+    >>> modes = mbd.identification.ModalData([0.35, 1.2], damping=[0.01, np.nan])
     >>> [(block.channel, len(block.measured)) for block in modes.blocks]
     [('frequency', 2), ('damping ratio', 1)]
     """

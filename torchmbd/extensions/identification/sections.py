@@ -117,7 +117,7 @@ class StaticCurveData(Section):
 
 
 class ModalDataKeys(Section):
-    """Arguments of torchmbd.ModalData: frequencies, damping ratios and mode shapes of small vibrations.
+    """Arguments of torchmbd.identification.ModalData: frequencies, damping ratios and mode shapes of small vibrations.
 
     frequencies  of the modes [Hz], ascending
     damping      damping ratios [-]; null where there is none
@@ -149,7 +149,7 @@ class PortKeys(Section):
 
 
 class FrequencyResponseKeys(Section):
-    """Arguments of torchmbd.FrequencyResponseData: amplitudes of outputs by that of an input, in a file.
+    """Arguments of torchmbd.identification.FrequencyResponseData: amplitudes of outputs by that of an input, in a file.
 
     file       CSV file, relative to the experiment file
     input      where the input acts: {name: hinge}, or {name: load, direction: y, place: [0.1, 0, 0]}

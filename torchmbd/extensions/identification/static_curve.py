@@ -32,10 +32,10 @@ class StaticCurve(Measurement):
 
     data      a CSV file, a DataFrame or a mapping of arrays: columns of loads, and one for each channel; nan is a gap
     loads     parameter of the system -> name of the column with its values; units may be in the headings, else SI
-    channels  name -> mbd.Channel(...) without delay, or a history whose name is that of its column
+    channels  name -> mbd.identification.Channel(...) without delay, or a history whose name is that of its column
 
     >>> force = [0.0, 1.0, 2.0]
-    >>> curve = mbd.StaticCurve({"F": force, "z": force}, {"push.z": "F"}, {"z": mbd.Position("tip", "z")})
+    >>> curve = mbd.identification.StaticCurve({"F": force, "z": force}, {"push.z": "F"}, {"z": mbd.Position("tip", "z")})
     >>> [(block.channel, block.abscissa) for block in curve.blocks]
     [('z', 'push.z')]
     """

@@ -44,14 +44,14 @@ class TimeSeries(Measurement):
     """Channels measured over time.
 
     data      a CSV file, a DataFrame or a mapping of arrays: a column of times, one for each channel; nan is a gap
-    channels  name -> mbd.Channel(...), or a history whose name is that of its column
+    channels  name -> mbd.identification.Channel(...), or a history whose name is that of its column
     time      name of the column of times, in ascending order [s], from the start of the motion; a unit may be in its heading
 
     Raises InputError for columns that do not exist, with the nearest name; for a field that is not a number, with its line;
     for times that do not increase; for a channel of gaps alone.
 
     >>> t = np.linspace(0.0, 1.0, 50)
-    >>> series = mbd.TimeSeries({"t": t, "x": np.sin(t)}, {"x": mbd.Position("bob", "x")})
+    >>> series = mbd.identification.TimeSeries({"t": t, "x": np.sin(t)}, {"x": mbd.Position("bob", "x")})
     >>> [block.title for block in series.blocks]
     ['x position of bob [m]']
     """

@@ -1,4 +1,8 @@
-"""Lamination parameters: laminates without plies, the region of parameters that stacks have, and stacks for parameters."""
+"""Lamination parameters: laminates without plies, the region of parameters that stacks have, and stacks for parameters.
+
+>>> mbd.lamination.LaminationRules(symmetric=True, balanced=True).symmetric
+True
+"""
 
 from torchmbd.extensions.lamination.blended_stacks import recover_blended_stacks
 from torchmbd.extensions.lamination.parameters import LaminationParameters

@@ -67,8 +67,9 @@ def recover_blended_stacks(
     the same thickness in all zones if the numbers `plies` are proportional to the thicknesses of the zones.
 
     >>> carbon, flat = mbd.examples.carbon(), [0.0, 0.0, 0.0, 0.0]
-    >>> zones = {"root": mbd.LaminationParameters(carbon, 2e-3, flat), "tip": mbd.LaminationParameters(carbon, 1e-3, flat)}
-    >>> found = mbd.recover_blended_stacks(zones, {"root": 8, "tip": 4}, angles=mbd.deg([0, 45, 90, -45]))
+    >>> root, tip = (mbd.lamination.LaminationParameters(carbon, thickness, flat) for thickness in (2e-3, 1e-3))
+    >>> zones = {"root": root, "tip": tip}
+    >>> found = mbd.lamination.recover_blended_stacks(zones, {"root": 8, "tip": 4}, angles=mbd.deg([0, 45, 90, -45]))
     >>> len(found["root"].angles), len(found["tip"].angles)
     (8, 4)
     """

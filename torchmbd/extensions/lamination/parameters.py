@@ -50,10 +50,10 @@ class LaminationParameters(Laminate):
     A tensor of numbers becomes a design variable, a torch.nn.Parameter is registered itself.
     `LaminationRegion` limits the parameters to those of stacks; `recover_stacks` finds stacks for them.
 
-    >>> laminate = mbd.LaminationParameters(
+    >>> laminate = mbd.lamination.LaminationParameters(
     ...     mbd.examples.carbon(), 2e-3, membrane=[0.2, 0.0, -0.3, 0.0], bending=[0.1, 0, -0.5, 0]
     ... )
-    >>> quasi_isotropic = mbd.LaminationParameters(mbd.examples.carbon(), 2e-3, membrane=[0, 0, 0, 0])
+    >>> quasi_isotropic = mbd.lamination.LaminationParameters(mbd.examples.carbon(), 2e-3, membrane=[0, 0, 0, 0])
     >>> A = quasi_isotropic.stiffness().A
     >>> bool((A[0, 0] - A[1, 1]).abs() < 1e-6 * A[0, 0])
     True

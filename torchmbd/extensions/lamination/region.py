@@ -1,6 +1,6 @@
 """Limits that keep lamination parameters in the region of those that stacks of plies have.
 
-    mbd.LaminationRegion("panel") <= 1
+    mbd.lamination.LaminationRegion("panel") <= 1
 
 Each condition r <= 1 of conditions.py is evaluated at all n controls of the body's laminates; the measure
 is its largest value. With a power p it is the p-norm over the controls, which is smooth, and too large by at most the factor
@@ -33,11 +33,11 @@ class LaminationRegion(Measure):
     body   its name
     power  None: the largest over the controls of a field; a number p of at least 2: smooth, the p-norm over them
 
-    >>> laminate = mbd.LaminationParameters(mbd.examples.carbon(), 2e-3, membrane=[0, 0, 0, 0])
+    >>> laminate = mbd.lamination.LaminationParameters(mbd.examples.carbon(), 2e-3, membrane=[0, 0, 0, 0])
     >>> mesh = mbd.mesh.rectangle(0.4, 0.1, cells=(4, 1))
     >>> panel = mbd.FlexibleBody.plate("panel", mesh, laminate, modes=1, reference="left_edge")
     >>> system = mbd.System([panel], [mbd.Fixed(mbd.Ground().at(), panel.at("left_edge"), name="wall")])
-    >>> limit = mbd.LaminationRegion("panel") <= 1
+    >>> limit = mbd.lamination.LaminationRegion("panel") <= 1
     >>> bool((limit.measure(mbd.simulate(system, 1e-3, steps=4)) <= 1.0).all())  # quasi-isotropic
     True
     """

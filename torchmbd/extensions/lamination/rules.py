@@ -34,7 +34,7 @@ class LaminationRules:
     min_share            smallest share of the thickness along each of 0, 90, 45, -45 degrees; 0: none
     tolerance            angles that differ by less are equal [deg]
 
-    >>> rules = mbd.LaminationRules(symmetric=True, balanced=True)
+    >>> rules = mbd.lamination.LaminationRules(symmetric=True, balanced=True)
     >>> rules.admits([45, -45, -45, 45])
     True
     >>> len(rules.broken([45, 0]))

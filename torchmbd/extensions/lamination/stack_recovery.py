@@ -62,8 +62,8 @@ def recover_stacks(
 
     InputError for a field: recover the stacks of one control at a time.
 
-    >>> laminate = mbd.LaminationParameters(mbd.examples.carbon(), 2e-3, [0, 0, 0, 0], bending=[0.375, 0, 0.25, 0])
-    >>> found = mbd.recover_stacks(laminate, plies=8, angles=mbd.deg([0, 45, 90, -45]))[0]
+    >>> laminate = mbd.lamination.LaminationParameters(mbd.examples.carbon(), 2e-3, [0, 0, 0, 0], bending=[0.375, 0, 0.25, 0])
+    >>> found = mbd.lamination.recover_stacks(laminate, plies=8, angles=mbd.deg([0, 45, 90, -45]))[0]
     >>> len(found.angles), found.distance < 0.2
     (8, True)
     """

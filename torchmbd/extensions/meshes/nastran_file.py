@@ -21,7 +21,7 @@ from torchmbd.extensions.nastran.inert import is_inert
 _SHELLS = {"CQUAD4": 8, "CQUADR": 8, "CTRIA3": 7, "CTRIAR": 7}
 _SECTIONS = ("PSHELL", "PCOMP", "PCOMPG", "MAT1", "MAT2", "MAT3", "MAT8", "MAT9", "MAT10", "PARAM")
 _SUPPORTS = ("SPC", "SPC1", "SPCADD")
-_REMEDY = "mbd.read_bdf reads it, or says why it cannot"
+_REMEDY = "mbd.io.read_bdf reads it, or says why it cannot"
 
 
 def check_nastran(path: Path) -> None:

@@ -46,7 +46,7 @@ def read_mesh(
     ...     _ = file.write("# vtk DataFile Version 4.2\\na plate\\nASCII\\nDATASET UNSTRUCTURED_GRID\\nPOINTS 4 double\\n"
     ...                    "0 0 0 400 0 0 400 100 0 0 100 0\\nCELLS 2 8\\n3 0 1 2\\n3 0 2 3\\nCELL_TYPES 2\\n5\\n5\\n")
     >>> if find_spec("meshio"):
-    ...     body = mbd.read_mesh("plate.vtk", "plate", laminate, modes=2, scale="mm")
+    ...     body = mbd.io.read_mesh("plate.vtk", "plate", laminate, modes=2, scale="mm")
     """
     file = mesh_file(path, scale)
     body = FlexibleBody(name, file.mesh, zone_parts(file, laminate, direction, mass), modes, **options)

@@ -122,7 +122,7 @@ def _check_control(data: BulkData, control: Control | None) -> None:
             raise wrong_entry(
                 card,
                 f"{how} it to mass or stiffness",
-                f"DMIG that none of {', '.join(MATRICES)} chooses (mbd.read_matrix reads DMIG)",
+                f"DMIG that none of {', '.join(MATRICES)} chooses (mbd.io.read_matrix reads DMIG)",
             )
         data.ignored["DMIG that the case control does not add to mass or stiffness"] += 1
     if data.thermal and (control is None or TEMPERATURE in commands):

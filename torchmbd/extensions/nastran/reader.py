@@ -39,7 +39,7 @@ def read_bdf(
     >>> cards = "MAT1,1,2.1+11,,.3,7850.", "PBAR,5,1,1.-4,1.-9,1.-9,2.-9", "GRID,1,,0.,0.,0.", "GRID,2,,1.,0.,0."
     >>> with open("bar.bdf", "w") as file:
     ...     _ = file.write("\\n".join(["BEGIN BULK", *cards, "CBAR,1,5,1,2,0.,1.,0.", "SPC1,1,123456,1", "ENDDATA"]))
-    >>> body = mbd.read_bdf("bar.bdf", "bar", modes=2)
+    >>> body = mbd.io.read_bdf("bar.bdf", "bar", modes=2)
     >>> round(body.structure()["mass"].item(), 3)
     0.785
     """

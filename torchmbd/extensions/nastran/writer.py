@@ -60,8 +60,9 @@ class _Stack:
 def write_bdf(design: Any, deck: str | Path, path: str | Path | None = None) -> Path:
     """Write ply angles and thicknesses of a design into a copy of the deck from which its bodies were read.
 
-    design   result of mbd.optimize or mbd.multistart, study of mbd.load, System or body; its bodies come from mbd.read_bdf
-    deck     the file that mbd.read_bdf has read, unchanged since then; write_bdf does not change it
+    design   result of mbd.optimize or mbd.optimization.multistart, study of mbd.load, System or body; its bodies come from
+             read_bdf
+    deck     the file that read_bdf has read, unchanged since then; write_bdf does not change it
     path     the file to write, which must not be a file that the deck includes; None: NAME_optimized in the folder of the
              deck
     Cards that do not change keep every byte. Returns the path. Raises InputError if the deck has changed, or if its cards
@@ -71,11 +72,11 @@ def write_bdf(design: Any, deck: str | Path, path: str | Path | None = None) -> 
     >>> grids = "GRID,1,,0.,0.,0.", "GRID,2,,1.,0.,0.", "GRID,3,,1.,1.,0.", "GRID,4,,0.,1.,0."
     >>> with open("plate.bdf", "w") as file:
     ...     _ = file.write("\\n".join(["BEGIN BULK", *cards, *grids, "CQUAD4,1,7,1,2,3,4,0.", "ENDDATA"]))
-    >>> body = mbd.read_bdf("plate.bdf", "plate", modes=2)
+    >>> body = mbd.io.read_bdf("plate.bdf", "plate", modes=2)
     >>> with torch.no_grad():
     ...     _ = body.laminate.angles.copy_(mbd.deg([30.0, -60.0]))
-    >>> path = mbd.write_bdf(body, "plate.bdf")
-    >>> torch.rad2deg(mbd.read_bdf(path, "plate", modes=2).laminate.angles).round().tolist()
+    >>> path = mbd.io.write_bdf(body, "plate.bdf")
+    >>> torch.rad2deg(mbd.io.read_bdf(path, "plate", modes=2).laminate.angles).round().tolist()
     [30.0, -60.0]
     """
     text = read_text("deck", deck)
@@ -100,7 +101,7 @@ def _stacks_by_card(bodies: list[FlexibleBody], text: DeckText, deck: str) -> di
     if not members:
         names = ", ".join(repr(body.name) for body, _ in sources)
         rule = f"must be the deck of {names} with the contents that were read; it is another one, or was changed since"
-        nothing = "must be a deck from which mbd.read_bdf made a body of the design; no body has one"
+        nothing = "must be a deck from which mbd.io.read_bdf made a body of the design; no body has one"
         raise InputError("deck", deck, rule=rule if sources else nothing)
     stacks: dict[int, list[_Stack]] = {}
     for body, source in members:

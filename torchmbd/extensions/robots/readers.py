@@ -34,7 +34,7 @@ def read_urdf(
     ...   <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint></robot>'''
     >>> with open("pendulum.urdf", "w") as file:
     ...     _ = file.write(text)
-    >>> mbd.read_urdf("pendulum.urdf", positions={"hinge": 0.3}).joints
+    >>> mbd.io.read_urdf("pendulum.urdf", positions={"hinge": 0.3}).joints
     [Revolute(ground.at(0, 0, 0), rod.at(0, 0, 0))]
     """
     return System(**robot(urdf_robot(path), flexible or {}, fixed_base, **options))
@@ -52,7 +52,7 @@ def read_mjcf(path: str | Path, flexible: Mapping[str, FlexibleBody] | None = No
     ...   <geom type="sphere" size="0.1" pos="0 0 -1" mass="2"/></body></worldbody></mujoco>'''
     >>> with open("pendulum.xml", "w") as file:
     ...     _ = file.write(text)
-    >>> mbd.read_mjcf("pendulum.xml").body("bob").mass.item()
+    >>> mbd.io.read_mjcf("pendulum.xml").body("bob").mass.item()
     2.0
     """
     file = mjcf_robot(path)

@@ -29,7 +29,7 @@ def write_model(
 ) -> Path:
     """Write a laminated body as a model for Nastran (.bdf, .dat, .nas), or for CalculiX and Abaqus (.inp).
 
-    design    a body, a System, a result of mbd.optimize or mbd.multistart, or a study of mbd.load
+    design    a body, a System, a result of mbd.optimize or mbd.optimization.multistart, or a study of mbd.load
     path      the file to write; its ending chooses the program
     body      name of the body; needed if the design has several
     units     of the file: "m", "mm", "cm", "in", "ft", as in read_bdf
@@ -39,7 +39,7 @@ def write_model(
 
     >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([20, -50]), thickness=1e-3)
     >>> plate = mbd.FlexibleBody.plate("plate", mbd.mesh.rectangle(0.3, 0.1, (6, 2)), laminate, 2, reference="left_edge")
-    >>> again = mbd.read_bdf(mbd.write_model(plate, "plate.bdf"), "plate", modes=2)
+    >>> again = mbd.io.read_bdf(mbd.io.write_model(plate, "plate.bdf"), "plate", modes=2)
     >>> bool(torch.isclose(again.structure()["mass"], plate.structure()["mass"], rtol=1e-9))
     True
     """

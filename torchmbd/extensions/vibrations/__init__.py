@@ -1,6 +1,10 @@
-"""Small vibrations of a whole machine about rest, steady rotation or a motion: eigenvalues, linear systems, measures."""
+"""Small vibrations of a whole machine about rest, steady rotation or a motion: eigenvalues, linear systems, measures.
 
-from torchmbd.extensions.vibrations.campbell_diagram import Campbell, campbell
+>>> round(mbd.vibrations.campbell(mbd.examples.pendulum(length=2.0), [0.0], modes=1).frequencies.item(), 4)  # [Hz]
+0.3525
+"""
+
+from torchmbd.extensions.vibrations.campbell_diagram import CampbellDiagram, campbell
 from torchmbd.extensions.vibrations.frozen_poles import frozen_poles
 from torchmbd.extensions.vibrations.linear_system import LinearSystem, linearize
 from torchmbd.extensions.vibrations.measures.critical_values import CriticalSpeed, StabilityLimit
@@ -13,8 +17,8 @@ from torchmbd.extensions.vibrations.measures.system_vibrations import (
 )
 
 __all__ = [
-    "Campbell",
     "CampbellClearance",
+    "CampbellDiagram",
     "CriticalSpeed",
     "DampingRatio",
     "FrequencyResponse",

@@ -38,7 +38,7 @@ TIE = 1e-2  # of MAC, that decides between shapes alike: a pole and its conjugat
 LOST = 0.4  # MAC; at equal frequencies the shapes of a round shaft at rest and in rotation have 0.5
 
 
-class Campbell(NamedTuple):
+class CampbellDiagram(NamedTuple):
     """The result of `campbell`, for each design and speed; nan where a vibration is lost.
 
     speeds          [k] [rad/s]
@@ -49,7 +49,7 @@ class Campbell(NamedTuple):
     whirl           [designs, k, n]: 1 forward (with the rotation), -1 backward, 0 for other vibrations: at rest, along the
                     axis, in torsion, or with forward and backward parts, as with anisotropic bearings and blades
 
-    >>> drawn = mbd.campbell(mbd.examples.pendulum(), [0.0], modes=1)
+    >>> drawn = mbd.vibrations.campbell(mbd.examples.pendulum(), [0.0], modes=1)
     >>> drawn.status, round(drawn.frequencies.item(), 3)
     (['ok'], 0.498)
     """
@@ -70,7 +70,7 @@ def campbell(
     observer: str = TURNING,
     designs: Mapping[str, Tensor] | None = None,
     modes: int = 6,
-) -> Campbell:
+) -> CampbellDiagram:
     """Vibrations of a machine that rotates as a whole, over speeds; differentiable like equilibria.
 
     system           the model; drives that rotate the whole machine get each of the speeds, whatever their laws
@@ -84,7 +84,7 @@ def campbell(
 
     >>> mass = mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0))
     >>> hold = mbd.Bushing(mbd.Ground().at(), mass.at(), (200.0,) * 3, (2.0,) * 3)
-    >>> drawn = mbd.campbell(mbd.System([mass], forces=[hold]), [0.0, 3.0, 6.0], observer="ground", modes=3)
+    >>> drawn = mbd.vibrations.campbell(mbd.System([mass], forces=[hold]), [0.0, 3.0, 6.0], observer="ground", modes=3)
     >>> [round(f, 2) for f in drawn.frequencies[0, :, 0].tolist()]  # sqrt(k / m) / (2 pi), seen from the ground
     [1.59, 1.59, 1.59]
     """
@@ -104,7 +104,7 @@ def campbell(
     none = torch.complex(*(torch.full(s.shape, torch.nan, dtype=torch.float64) for _ in range(2)))
     s = torch.where(numbers >= 0, s, none)
     frequencies, damping_ratios = s.imag.abs() / (2.0 * math.pi), -s.real / s.abs()
-    return Campbell(_speeds(states, shaft), frequencies, damping_ratios, s, follower.status, follower.whirl)
+    return CampbellDiagram(_speeds(states, shaft), frequencies, damping_ratios, s, follower.status, follower.whirl)
 
 
 def _speeds(states: SteadyStates, shaft: Shaft) -> Tensor:
@@ -123,7 +123,7 @@ class _Senses:
         self.whirls = [Whirl(system, states.dynamics.topology, each, shaft.direction, center) for each in modes]
 
     def __call__(self, lane: int, spectrum: Spectrum, speed: float) -> Tensor:
-        """1, -1 or 0 of each pole [k], as in `Campbell`."""
+        """1, -1 or 0 of each pole [k], as in `CampbellDiagram`."""
         m = self.whirls[lane // self.count].orders(spectrum, self.q[:, 0, lane])
         seen = spectrum.values.imag + (m * speed if self.turns else 0.0)
         return (seen * m * speed).nan_to_num(0.0).sign().long()

@@ -37,7 +37,7 @@ def frozen_poles(
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.5, steps=50)
     >>> angle = mbd.Angle("bob", "z")(motion)[0, -1]
-    >>> s = mbd.frozen_poles(motion)[0, 1]
+    >>> s = mbd.vibrations.frozen_poles(motion)[0, 1]
     >>> round((s.imag**2 / torch.cos(angle)).item(), 3)  # g / L
     4.905
     """

@@ -56,7 +56,7 @@ class LinearSystem:
 
     >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
     >>> system = mbd.System([hinge.b.body], [hinge], gravity=(0.0, -9.81, 0.0))
-    >>> linear = mbd.linearize(system, [mbd.signals.JointTorque(hinge)], [mbd.signals.JointRate(hinge)])
+    >>> linear = mbd.vibrations.linearize(system, [mbd.signals.JointTorque(hinge)], [mbd.signals.JointRate(hinge)])
     >>> linear.response(0.1).shape, linear.to_scipy().D.shape  # one frequency, output and input
     ((1, 1, 1), (1, 1))
     """
@@ -121,7 +121,7 @@ def linearize(
     >>> [hinge] = mbd.examples.pendulum(length=2.0).joints
     >>> bob = hinge.b.body
     >>> system = mbd.System([bob], [hinge], gravity=(0.0, -9.81, 0.0))
-    >>> linear = mbd.linearize(system, [mbd.signals.JointTorque(hinge)], [mbd.signals.JointAngle(hinge)])
+    >>> linear = mbd.vibrations.linearize(system, [mbd.signals.JointTorque(hinge)], [mbd.signals.JointAngle(hinge)])
     >>> linear.A.round(3).tolist(), linear.inputs, linear.outputs
     ([[0.0, 1.0], [-4.905, 0.0]], ['JointTorque 1'], ['JointAngle 1'])
     """

@@ -46,7 +46,7 @@ def read_windio(path: str | Path) -> WindIOBlade:
     path   the file
     Raises InputError that names file and entry.
 
-    >>> blade = mbd.read_windio("IEA-15-240-RWT.yaml")  # doctest: +SKIP
+    >>> blade = mbd.io.read_windio("IEA-15-240-RWT.yaml")  # doctest: +SKIP
     >>> blade.section(0.5).stiffness()[0, 0]  # E A in the middle  # doctest: +SKIP
     """
     if not isinstance(path, (str, Path)):

@@ -1,4 +1,9 @@
-"""Reduction of a flexible body: modes, their derivatives, inertia invariants. Knows matrices and nodes, no element."""
+"""Reduction of a flexible body: modes, their derivatives, inertia invariants. Knows matrices and nodes, no element.
+
+>>> K, M = torch.diag(torch.tensor([1.0, 4.0, 9.0], dtype=torch.float64)), torch.eye(3, dtype=torch.float64)
+>>> mbd.reduction.eigenpairs(K, M, 2).values.tolist()
+[1.0, 4.0]
+"""
 
 from torchmbd.fem.reduction.basis import Matrix, ModalBasis, modal_basis
 from torchmbd.fem.reduction.branches import Branches, eigenpair_branches

@@ -87,7 +87,7 @@ def modal_basis(
     Raises CutCluster, an InputError with the lanes, if n separates modes of equal frequency.
 
     >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64)  # three masses in a chain
-    >>> basis = mbd.modal_basis(K, torch.ones(3, dtype=torch.float64), 2)
+    >>> basis = mbd.reduction.modal_basis(K, torch.ones(3, dtype=torch.float64), 2)
     >>> basis.vectors.shape, basis.stiffness.diagonal().round(decimals=4).tolist()  # 2 - sqrt(2), 2
     (torch.Size([3, 2]), [0.5858, 2.0])
     """

@@ -87,7 +87,7 @@ def eigenpair_branches(
     >>> def matrices(b):  # two modes of equal frequency at b = 0
     ...     return torch.diag(torch.stack([1.0 + b[0], 1.0 - b[0]])), torch.ones(2, dtype=torch.float64)
     >>> b, direction = torch.zeros(1, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
-    >>> mbd.eigenpair_branches(matrices, b, direction, 2).value_slopes.tolist()
+    >>> mbd.reduction.eigenpair_branches(matrices, b, direction, 2).value_slopes.tolist()
     [-1.0, 1.0]
     """
     if orders < 1:

@@ -63,7 +63,7 @@ def craig_bampton(
     held.
 
     >>> K = torch.tensor([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]], dtype=torch.float64)  # a free chain of three masses
-    >>> basis = mbd.craig_bampton(K, torch.ones(3, dtype=torch.float64), n=1, interface=[0, 2])
+    >>> basis = mbd.reduction.craig_bampton(K, torch.ones(3, dtype=torch.float64), n=1, interface=[0, 2])
     >>> basis.vectors.shape
     torch.Size([3, 3])
     """

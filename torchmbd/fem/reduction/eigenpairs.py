@@ -102,7 +102,7 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
     vectors that coincide, or through one of these vectors alone, raises it too.
 
     >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64, requires_grad=True)
-    >>> values, vectors = mbd.eigenpairs(K, torch.ones(3, dtype=torch.float64), 1)
+    >>> values, vectors = mbd.reduction.eigenpairs(K, torch.ones(3, dtype=torch.float64), 1)
     >>> values.sum().backward()
     >>> K.grad.round(decimals=3).tolist()  # psi psi'
     [[0.25, 0.354, 0.25], [0.354, 0.5, 0.354], [0.25, 0.354, 0.25]]

@@ -40,8 +40,8 @@ def spectral_function(
     Source: module header. Raises InputError if g does not return a float64 tensor of the shape that it is given.
 
     >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64)
-    >>> basis = mbd.modal_basis(K, torch.ones(3, dtype=torch.float64), 3)
-    >>> root = mbd.spectral_function(basis, torch.sqrt)
+    >>> basis = mbd.reduction.modal_basis(K, torch.ones(3, dtype=torch.float64), 3)
+    >>> root = mbd.reduction.spectral_function(basis, torch.sqrt)
     >>> torch.allclose(root @ root, K)
     True
     """

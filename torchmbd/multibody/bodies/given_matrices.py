@@ -124,7 +124,7 @@ def _labeled(label: tuple[str, str], matrix: Any) -> LabeledMatrix:
     if isinstance(matrix, LabeledMatrix):
         read = matrix
     elif isinstance(matrix, (str, Path)):
-        raise InputError(label, str(matrix), "numbers, such as mbd.read_matrix reads from a file")
+        raise InputError(label, str(matrix), "numbers, such as mbd.io.read_matrix reads from a file")
     elif scipy.sparse.issparse(matrix):
         read = LabeledMatrix(scipy.sparse.csr_array(matrix, dtype=np.float64))
     else:

@@ -58,7 +58,7 @@ class MatrixMethods:
     ) -> Self:
         """A body from the mass and stiffness matrices of another program: free of supports, linear, in m, kg, s, N.
 
-        M, K         arrays, tensors, SciPy sparse matrices or what mbd.read_matrix reads; or M alone, a torch module, or a
+        M, K         arrays, tensors, SciPy sparse matrices or what mbd.io.read_matrix reads; or M alone, a torch module, or a
                      function of `parameters`, that returns both, dense [N, N]
         nodes        positions [n, 3] [m], label -> position, or a Mesh (for pictures and names)
         modes        number of modes with the reference held, besides the constraint modes of `interface` (Craig-Bampton);
@@ -168,7 +168,7 @@ class MatrixMethods:
         return scipy.sparse.csr_array(mass), scipy.sparse.csr_array(K.pattern.to_scipy(K.values))
 
     def save_matrices(self, path: str | Path) -> tuple[Path, Path]:
-        """Write these as Matrix Market files path_M.mtx and path_K.mtx; mbd.read_matrix reads them."""
+        """Write these as Matrix Market files path_M.mtx and path_K.mtx; mbd.io.read_matrix reads them."""
         files = Path(f"{path}_M.mtx"), Path(f"{path}_K.mtx")
         for file, matrix in zip(files, self.mass_and_stiffness(), strict=True):
             with file.open("wb") as handle:

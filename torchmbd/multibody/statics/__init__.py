@@ -1,5 +1,5 @@
 """Bodies on supports: natural frequencies."""
 
-from torchmbd.multibody.statics.vibrations import VibrationCase, Vibrations, frequencies
+from torchmbd.multibody.statics.vibrations import NaturalModes, VibrationCase, natural_frequencies
 
-__all__ = ["VibrationCase", "Vibrations", "frequencies"]
+__all__ = ["NaturalModes", "VibrationCase", "natural_frequencies"]

@@ -34,8 +34,8 @@ RIGID_MOTIONS = 6  # of a free body
 ZERO = 1e-12  # stiffness of a shape over the sum of the sizes of its terms; rounding leaves 1e-16 to 5e-13, as was measured
 
 
-class Vibrations(NamedTuple):
-    """The result of `frequencies`.
+class NaturalModes(NamedTuple):
+    """The result of `natural_frequencies`.
 
     frequencies  [*lanes, number] [Hz], ascending
     shapes       of the vibrations [*lanes, nodes, 6, number], largest displacement 1
@@ -43,7 +43,7 @@ class Vibrations(NamedTuple):
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> sheet = mbd.FlexibleBody.plate("sheet", mbd.mesh.rectangle(0.4, 0.2, (8, 4)), mbd.Laminate(steel, [0.0], 2e-3))
-    >>> free = mbd.frequencies(sheet, {})
+    >>> free = mbd.natural_frequencies(sheet, {})
     >>> free.shapes.shape, free.status
     (torch.Size([45, 6, 1]), 'six rigid motions of the free body are left out')
     """
@@ -53,7 +53,7 @@ class Vibrations(NamedTuple):
     status: str
 
 
-def frequencies(body: FlexibleBody, supports: Supports | None = None, number: int = 1) -> Vibrations:
+def natural_frequencies(body: FlexibleBody, supports: Supports | None = None, number: int = 1) -> NaturalModes:
     """Find the lowest natural frequencies of a body on supports; differentiable with respect to its parameters.
 
     body      a FlexibleBody of elements
@@ -66,7 +66,7 @@ def frequencies(body: FlexibleBody, supports: Supports | None = None, number: in
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
     >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
     >>> beam = mbd.FlexibleBody.beam("beam", mbd.BeamLine.straight(2.0, 16), tube, reference="start")
-    >>> found = mbd.frequencies(beam, {"start": "u1 u2 u3 phi1", "end": "u2 u3"})
+    >>> found = mbd.natural_frequencies(beam, {"start": "u1 u2 u3 phi1", "end": "u2 u3"})
     >>> EI, m = tube.stiffness()[4, 4], tube.mass()[0, 0]
     >>> round((found.frequencies[0] / (torch.pi / 2 / 2.0**2 * (EI / m).sqrt())).item(), 2)  # pi / (2 l^2) sqrt(EI / m)
     1.0
@@ -77,7 +77,7 @@ def frequencies(body: FlexibleBody, supports: Supports | None = None, number: in
 class VibrationCase:
     """A body on supports, ready to find its frequencies in any design: `case(number)`.
 
-    body, supports as in `frequencies`. Raises InputError if these are wrong.
+    body, supports as in `natural_frequencies`. Raises InputError if these are wrong.
     """
 
     def __init__(self, body: FlexibleBody, supports: Supports | None = None) -> None:
@@ -91,7 +91,7 @@ class VibrationCase:
         """Number of frequencies."""
         return self.supported.pattern.size - self.rigid
 
-    def __call__(self, number: int = 1) -> Vibrations:
+    def __call__(self, number: int = 1) -> NaturalModes:
         """The lowest frequencies, and shapes, of the present design.
 
         Raises InputError if the supports leave the body movable, or number is not possible.
@@ -114,7 +114,7 @@ class VibrationCase:
             fault = f"a frequency{lane_name(lane, len(zero))} is zero, so the supports leave a rigid-body motion free"
             raise supported.free_at(fault, row)
         status = "six rigid motions of the free body are left out" if self.rigid else "ok"
-        return Vibrations(squares.sqrt() / (2.0 * math.pi), supported.shapes(vectors), status)
+        return NaturalModes(squares.sqrt() / (2.0 * math.pi), supported.shapes(vectors), status)
 
     def _matrices(self) -> tuple[SparseMatrix, Matrix]:
         """Stiffness and mass of the degrees of freedom without supports."""

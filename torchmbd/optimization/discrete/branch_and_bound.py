@@ -278,7 +278,7 @@ def optimize_discrete(
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-45, 45]))
-    >>> found = mbd.optimize_discrete(problem, mbd.deg(45), max_iterations=3)
+    >>> found = mbd.optimization.optimize_discrete(problem, mbd.deg(45), max_iterations=3)
     >>> np.degrees(found.best.x).round(6).tolist(), found.size  # of 3 x 3 designs
     ([0.0, 0.0], 9)
     """

@@ -264,7 +264,7 @@ def multistart(
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
-    >>> study = mbd.multistart(problem, starts=mbd.sobol(2, seed=1), max_iterations=2)
+    >>> study = mbd.optimization.multistart(problem, starts=mbd.optimization.sobol(2, seed=1), max_iterations=2)
     >>> study.to_dataframe().columns[:3].tolist()
     ['status', 'value', 'violation']
     >>> study.best.value == min(result.value for result in study.results)

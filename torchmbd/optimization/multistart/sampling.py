@@ -39,7 +39,7 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     `points(problem)` raises InputError for bounds that are not finite. Source: Owen scrambling of scipy.stats.qmc.
 
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Mass(), bounds=mbd.deg([-90, 90]))
-    >>> mbd.sobol(4, seed=7).points(problem).shape
+    >>> mbd.optimization.sobol(4, seed=7).points(problem).shape
     (4, 2)
     """
     return _drawn("sobol", _sobol, count, seed, include_initial)
@@ -52,7 +52,7 @@ def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Sta
     Source: Latin hypercube of scipy.stats.qmc.
 
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Mass(), bounds=mbd.deg([-90, 90]))
-    >>> points = mbd.latin_hypercube(4, seed=7).points(problem)
+    >>> points = mbd.optimization.latin_hypercube(4, seed=7).points(problem)
     >>> sorted(np.floor((points[:, 0] / np.pi + 0.5) * 4).astype(int).tolist())  # one in each quarter of the range
     [0, 1, 2, 3]
     """
@@ -87,7 +87,7 @@ def recipe(starts: Starts | Sequence[Any] | np.ndarray | None, initial: np.ndarr
     if starts is None or isinstance(starts, Starts):
         return starts_at([initial]) if starts is None else starts
     if isinstance(starts, str) or not isinstance(starts, Iterable):
-        raise InputError("starts", starts, "mbd.sobol(...) or another sampler, a list of designs, or None")
+        raise InputError("starts", starts, "mbd.optimization.sobol(...) or another sampler, a list of designs, or None")
     return starts_at(list(starts))
 
 

@@ -1,7 +1,7 @@
 """Evaluation by Dask workers: processes of this machine, workers of any scheduler by its address, or jobs of a cluster.
 
-    with mbd.Processes(problem, 2) as shared:
-        study = mbd.multistart(shared, starts=mbd.sobol(32, seed=7))
+    with mbd.optimization.Processes(problem, 2) as shared:
+        study = mbd.optimization.multistart(shared, starts=mbd.optimization.sobol(32, seed=7))
 
 The starts of a study are in at least as many groups as there are workers (batched.py); each group has a batch of up to LANES
 designs under evaluation, so that no worker waits for another. With fewer batches than workers each is divided into pieces.
@@ -215,8 +215,8 @@ class Processes(Workers):
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
-    >>> shared = mbd.Processes(problem, 2)
-    >>> shared.names == problem.names  # with shared: mbd.multistart(shared, starts=mbd.sobol(32, seed=1))
+    >>> shared = mbd.optimization.Processes(problem, 2)
+    >>> shared.names == problem.names  # with shared: multistart(shared, starts=sobol(32, seed=1))
     True
     """
 

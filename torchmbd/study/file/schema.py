@@ -217,7 +217,7 @@ class Constraint(Section):
 
 
 class Optimizer(Section):
-    """Arguments of torchmbd.multistart; more keys are options of the method.
+    """Arguments of torchmbd.optimization.multistart; more keys are options of the method.
 
     name  its name; more keys of this section are its options
     """

@@ -38,7 +38,7 @@ def test_critical_speeds_of_a_disk(mode):
     system, k = disk(), torch.tensor([8e3, 9e3], dtype=torch.float64)
     speeds = [math.sqrt(30.0 / 0.03), math.sqrt(5e3 / 2.0), math.sqrt(8e3 / 2.0)]
     for number, expected in enumerate(speeds, 1):
-        measure = mbd.CriticalSpeed(number, between=(10.0, 90.0), points=9, **DISK)
+        measure = mbd.vibrations.CriticalSpeed(number, between=(10.0, 90.0), points=9, **DISK)
         result = measured(measure, system, {"bearing.stiffness_y": k}, gradients=mode)
         assert float(result.value[0]) == pytest.approx(expected, rel=1e-9)
         slope = 0.5 / math.sqrt(8e3 * 2.0) if number == 3 else 0.0
@@ -48,7 +48,7 @@ def test_critical_speeds_of_a_disk(mode):
 
 @pytest.mark.thorough
 def test_an_order_is_a_multiple_of_the_speed():
-    measure = mbd.CriticalSpeed(1, order=2.0, between=(22.0, 29.0), points=4, **DISK)
+    measure = mbd.vibrations.CriticalSpeed(1, order=2.0, between=(22.0, 29.0), points=4, **DISK)
     result = measured(measure, disk(), {"bearing.stiffness_y": torch.tensor([8e3]).double()}, gradients="forward")
     assert float(result.value) == pytest.approx(math.sqrt(5e3 / 2.0) / 2.0, rel=1e-9)
 
@@ -70,8 +70,8 @@ def with_internal_damping(c: float, speed: float = 50.0) -> mbd.System:
 def test_damping_changes_no_critical_speed_and_no_clearance(points):
     """Natural frequencies are those without damping, also where internal damping makes vibrations grow."""
     seen: dict[str, Any] = {"axis": "z", "observer": "ground"}
-    critical = [mbd.CriticalSpeed(n, between=(1.0, 1000.0), points=points, **seen) for n in (1, 2)]
-    clear = mbd.CampbellClearance((1, 2), (20.0, 400.0), (1, 2, 3), points=4, **seen)
+    critical = [mbd.vibrations.CriticalSpeed(n, between=(1.0, 1000.0), points=points, **seen) for n in (1, 2)]
+    clear = mbd.vibrations.CampbellClearance((1, 2), (20.0, 400.0), (1, 2, 3), points=4, **seen)
     calm, driven = (mbd.simulate(with_internal_damping(c), 1e-4, steps=2) for c in (0.0, 300.0))
     for measure in (*critical, clear):
         assert measure(driven).flatten().tolist() == pytest.approx(measure(calm).flatten().tolist(), rel=1e-9)
@@ -86,7 +86,7 @@ def test_damping_changes_no_critical_speed_and_no_clearance(points):
 def test_whirls_that_coincide_have_a_critical_speed():
     """In equal bearings: the value is there, a derivative by the stiffness in one direction is not."""
     system = disk(5e3)
-    measure = mbd.CriticalSpeed(2, between=(10.0, 90.0), points=9, **DISK)
+    measure = mbd.vibrations.CriticalSpeed(2, between=(10.0, 90.0), points=9, **DISK)
     k = torch.tensor([5e3], dtype=torch.float64, requires_grad=True)
     speed = measure(mbd.simulate(system, 1e-4, steps=2, designs={"bearing.stiffness_y": k}))
     assert float(speed) == pytest.approx(50.0, rel=1e-9)
@@ -104,7 +104,7 @@ def test_rotor5_of_ross():
         ranges = ((80.0, 90.0), (80.0, 90.0), (190.0, 215.0), (190.0, 215.0))
         result.append(
             [
-                float(mbd.CriticalSpeed(1 + k % 2, between=between, points=3, **DISK)(motion))
+                float(mbd.vibrations.CriticalSpeed(1 + k % 2, between=between, points=3, **DISK)(motion))
                 for k, between in enumerate(ranges)
             ]
         )
@@ -133,10 +133,10 @@ def test_a_critical_speed_is_one_of_a_fixed_observer_whatever_axes_are_used():
     system = shaft_with_modes()
     m = torch.tensor([3.0], dtype=torch.float64, requires_grad=True)
     motion = mbd.simulate(system, 1e-4, steps=2, designs={"disk.mass": m}, backend="eager")
-    rest = 2.0 * math.pi * mbd.SystemFrequency(cluster=(2, 3))(motion)
+    rest = 2.0 * math.pi * mbd.vibrations.SystemFrequency(cluster=(2, 3))(motion)
     (expected,) = torch.autograd.grad(rest.sum(), m, retain_graph=True)
     for observer in ("turning", "ground"):
-        critical = mbd.CriticalSpeed(1, between=(50.0, 400.0), points=4, axis="x", observer=observer)(motion)
+        critical = mbd.vibrations.CriticalSpeed(1, between=(50.0, 400.0), points=4, axis="x", observer=observer)(motion)
         assert float(critical) == pytest.approx(float(rest), rel=1e-4)
         (slope,) = torch.autograd.grad(critical.sum(), m, retain_graph=True)
         assert float(slope) == pytest.approx(float(expected), rel=1e-3)
@@ -152,7 +152,7 @@ def test_the_observer_chooses_the_axes_and_leaves_the_speed():
         mount = mbd.Bushing(GROUND.at(), disk.at(), **stiffness, name="mount")
         options = {"steps": 2, "designs": {"mount.turning_stiffness_y": k}, "backend": "eager"}
         motion = mbd.simulate(mbd.System([disk], forces=[mount]), 1e-4, **options)
-        return mbd.CriticalSpeed(1, between=(80.0, 120.0), points=4, axis="x", observer=observer)(motion)
+        return mbd.vibrations.CriticalSpeed(1, between=(80.0, 120.0), points=4, axis="x", observer=observer)(motion)
 
     expected = math.sqrt(300.0 / 0.025)
     k = torch.tensor([300.0], dtype=torch.float64, requires_grad=True)
@@ -190,7 +190,7 @@ def test_flutter_of_zieglers_column(mode):
     k, c = 3.0, 0.2
     names = ["spring0.damping", "spring1.damping", "spring0.stiffness", "spring1.stiffness"]
     designs = {name: torch.tensor([c if "damping" in name else k], dtype=torch.float64) for name in names}
-    result = measured(mbd.StabilityLimit("push.x", (1.0, 6.0), points=6), ziegler(), designs, gradients=mode)
+    result = measured(mbd.vibrations.StabilityLimit("push.x", (1.0, 6.0), points=6), ziegler(), designs, gradients=mode)
     assert float(result.value) == pytest.approx(41.0 / 28.0 * k + 0.5 * c**2, rel=1e-6)
     slopes = result.gradient[0]
     assert float(slopes[2] + slopes[3]) == pytest.approx(41.0 / 28.0, rel=1e-6)
@@ -201,22 +201,22 @@ def test_what_is_not_there_is_named():
     system = disk()
     motion = mbd.simulate(system, 1e-4, steps=2)
     with refused("between", (20.0, 35.0), "critical speed 2 of order 1", kind=mbd.DesignFailure):
-        mbd.CriticalSpeed(2, between=(20.0, 35.0), points=4, **DISK)(motion)
+        mbd.vibrations.CriticalSpeed(2, between=(20.0, 35.0), points=4, **DISK)(motion)
     column = mbd.simulate(ziegler(), 1e-4, steps=2)
     with refused("between", ANY, "no vibration begins to grow", kind=mbd.DesignFailure):
-        mbd.StabilityLimit("push.x", (0.1, 1.0), points=3)(column)
+        mbd.vibrations.StabilityLimit("push.x", (0.1, 1.0), points=3)(column)
     undamped = mbd.simulate(ziegler(c=0.0), 1e-4, steps=2)
     with refused("parameter", "push.x", "push.x = 5", kind=mbd.DesignFailure):
-        mbd.StabilityLimit("push.x", (1.0, 13.0), points=4)(undamped)
+        mbd.vibrations.StabilityLimit("push.x", (1.0, 13.0), points=4)(undamped)
     with refused("parameter of one number", "push.w"):
-        mbd.Problem(ziegler(), 1e-4, mbd.StabilityLimit("push.w"), steps=2)
+        mbd.Problem(ziegler(), 1e-4, mbd.vibrations.StabilityLimit("push.w"), steps=2)
     for make, path in (
-        (lambda: mbd.CriticalSpeed(0), "number"),
-        (lambda: mbd.CriticalSpeed(1, between=(0.0, 2.0)), "between"),
-        (lambda: mbd.CriticalSpeed(1, order=-1.0), "order"),
-        (lambda: mbd.StabilityLimit("push.x", (2.0, 1.0)), "between"),
-        (lambda: mbd.StabilityLimit("push.x", (1.0, 2.0), points=1), "points"),
-        (lambda: mbd.StabilityLimit(3), "parameter"),
+        (lambda: mbd.vibrations.CriticalSpeed(0), "number"),
+        (lambda: mbd.vibrations.CriticalSpeed(1, between=(0.0, 2.0)), "between"),
+        (lambda: mbd.vibrations.CriticalSpeed(1, order=-1.0), "order"),
+        (lambda: mbd.vibrations.StabilityLimit("push.x", (2.0, 1.0)), "between"),
+        (lambda: mbd.vibrations.StabilityLimit("push.x", (1.0, 2.0), points=1), "points"),
+        (lambda: mbd.vibrations.StabilityLimit(3), "parameter"),
     ):
         with refused(path):
             make()

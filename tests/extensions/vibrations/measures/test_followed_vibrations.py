@@ -37,18 +37,18 @@ def test_numbers_swap_and_shapes_do_not():
     """Mass a has 10, 12, 16 rad/s, b always 14: number 1 of the start is a, also where it is the faster."""
     system, w = masses(), torch.tensor([10.0, 12.0, 16.0], dtype=torch.float64)
     x = {"hold_a.stiffness": (2.0 * w * w).requires_grad_()}
-    f = {follow: measured(mbd.SystemFrequency(1, follow=follow), system, x) for follow in (True, False)}
+    f = {follow: measured(mbd.vibrations.SystemFrequency(1, follow=follow), system, x) for follow in (True, False)}
     assert_close(2.0 * math.pi * f[True].detach(), w, rtol=1e-10, atol=0.0)
     assert_close(2.0 * math.pi * f[False].detach(), w.clamp_max(14.0), rtol=1e-10, atol=0.0)
     [slope] = torch.autograd.grad(f[True].sum(), x["hold_a.stiffness"])
     assert_close(2.0 * math.pi * slope, 1.0 / (4.0 * w), rtol=1e-10, atol=0.0)
     forward = torch.func.jvp(
-        lambda k: measured(mbd.SystemFrequency(1, follow=True), system, {"hold_a.stiffness": k}),
+        lambda k: measured(mbd.vibrations.SystemFrequency(1, follow=True), system, {"hold_a.stiffness": k}),
         (2.0 * w * w,),
         (torch.ones(3, dtype=torch.float64),),
     )
     assert_close(forward[1], slope, rtol=1e-9, atol=0.0)
-    ratio = measured(mbd.DampingRatio(1, follow=True), system, x).detach()
+    ratio = measured(mbd.vibrations.DampingRatio(1, follow=True), system, x).detach()
     assert_close(ratio, 0.4 / (4.0 * w), rtol=1e-9, atol=0.0)
 
 
@@ -56,7 +56,7 @@ def test_a_vibration_that_is_lost_is_named():
     """Where both have the same frequency a stiff coupling makes them swing with and against each other: a MAC of 1 / 2."""
     same = {"hold_a.stiffness": torch.tensor([392.0]).double(), "c.stiffness": torch.tensor([50.0]).double()}
     with refused("vibration 1 of the start"):
-        measured(mbd.SystemFrequency(1, follow=True), masses(), same)
+        measured(mbd.vibrations.SystemFrequency(1, follow=True), masses(), same)
 
 
 def test_what_has_no_shape_is_refused():
@@ -64,13 +64,13 @@ def test_what_has_no_shape_is_refused():
     equal = masses()
     equal.get_parameter("hold_b.stiffness").data.fill_(200.0)
     with refused("number", 1, kind=mbd.DesignFailure):
-        measured(mbd.SystemFrequency(1, follow=True), equal, x)
+        measured(mbd.vibrations.SystemFrequency(1, follow=True), equal, x)
     with refused("number", 3):
-        measured(mbd.SystemFrequency(3, follow=True), masses(), x)
+        measured(mbd.vibrations.SystemFrequency(3, follow=True), masses(), x)
     with refused("follow"):
-        mbd.SystemFrequency(cluster=(1, 2), follow=True)
+        mbd.vibrations.SystemFrequency(cluster=(1, 2), follow=True)
     with refused("follow", 3):
-        mbd.DampingRatio(1, **{"follow": 3})  # pyright: ignore[reportArgumentType]
+        mbd.vibrations.DampingRatio(1, **{"follow": 3})  # pyright: ignore[reportArgumentType]
 
 
 def test_in_the_modes_of_each_design():
@@ -82,8 +82,8 @@ def test_in_the_modes_of_each_design():
     system = mbd.System([body], [mbd.Fixed(GROUND.at(), body.at("start"))])
     [name] = [n for n, x in system.named_parameters() if x.shape == (2,) and "thickness" in n]
     x = {name: torch.tensor([[4e-3, 4e-3], [5e-3, 5e-3], [8e-3, 8e-3]], dtype=torch.float64)}
-    numbers = [measured(mbd.SystemFrequency(k), system, x) for k in (1, 2)]
-    followed = [measured(mbd.SystemFrequency(k, follow=True), system, x) for k in (1, 2)]
+    numbers = [measured(mbd.vibrations.SystemFrequency(k), system, x) for k in (1, 2)]
+    followed = [measured(mbd.vibrations.SystemFrequency(k, follow=True), system, x) for k in (1, 2)]
     for k in (0, 1):
         assert_close(followed[k][:2], numbers[k][:2], rtol=1e-9, atol=0.0)
         assert_close(followed[k][2], numbers[1 - k][2], rtol=1e-9, atol=0.0)

@@ -49,8 +49,8 @@ def test_peak_and_gradient_of_one_mass():
     motion = short(mass(), designs={f"spring.{name}": y for name, y in x.items()}, gradients="reverse")
     options: dict[str, Any] = {"direction": "y", "input_direction": "y"}
     for measure in (
-        mbd.FrequencyResponse("rail", "rail", (0.01, 10.0)),
-        mbd.FrequencyResponse("load", "load", (0.0, 10.0), input_place=(0.1, 0.0, 0.0), **options),
+        mbd.vibrations.FrequencyResponse("rail", "rail", (0.01, 10.0)),
+        mbd.vibrations.FrequencyResponse("load", "load", (0.0, 10.0), input_place=(0.1, 0.0, 0.0), **options),
     ):
         peak = measure.peak(motion)
         assert_close(peak.magnitude, expected, rtol=1e-10, atol=0.0)
@@ -71,7 +71,7 @@ def test_two_masses_against_scipy(quantity):
     order = ["displacement", "velocity", "acceleration"].index(quantity)
     w = 2.0 * math.pi * np.linspace(*band, 200_001)
     _, G = scipy.signal.freqresp((A, B, C, np.zeros((1, 1))), w)
-    peak = mbd.FrequencyResponse(second, first, band, quantity=quantity).peak(short(system))
+    peak = mbd.vibrations.FrequencyResponse(second, first, band, quantity=quantity).peak(short(system))
     size = np.abs(G) * w**order
     assert float(peak.magnitude) == pytest.approx(size.max(), rel=1e-7)
     assert float(peak.frequency) == pytest.approx(w[size.argmax()] / (2.0 * math.pi), abs=2e-4)
@@ -82,7 +82,7 @@ def test_ends_of_the_band_are_told_apart():
     k = torch.tensor([50.0], dtype=torch.float64, requires_grad=True)
     motion = short(mass(), designs={"spring.stiffness": k}, gradients="reverse")
     for band, end, f in (((2.0, 4.0), "lower end of the band", 2.0), ((0.1, 0.4), "upper end of the band", 0.4)):
-        peak = mbd.FrequencyResponse("rail", "rail", band).peak(motion)
+        peak = mbd.vibrations.FrequencyResponse("rail", "rail", band).peak(motion)
         w = 2.0 * math.pi * f
         expected = 1.0 / ((k - 2.0 * w * w) ** 2 + (2.0 * w) ** 2).sqrt()
         assert peak.where == [end]
@@ -94,7 +94,7 @@ def test_ends_of_the_band_are_told_apart():
 def test_gradients_in_both_modes_and_lanes():
     names = ["spring.stiffness", "load.mass"]
     x = {name: torch.tensor(y, dtype=torch.float64) for name, y in zip(names, ([40.0, 60.0], [2.0, 3.0]), strict=True)}
-    measure = mbd.FrequencyResponse("rail", "rail", (0.1, 3.0), quantity="acceleration")
+    measure = mbd.vibrations.FrequencyResponse("rail", "rail", (0.1, 3.0), quantity="acceleration")
     reverse, forward = (
         measure.value_and_gradient(short(mass(), designs=x, variables=names, gradients=mode))
         for mode in ("reverse", "forward")
@@ -122,11 +122,13 @@ def test_a_direction_of_the_ground_stands_still_while_the_machine_turns(directio
     """|1 / (k - m w^2 + i w c)| at any speed; an observer who turns does not see it, and says who does."""
     ports: dict[str, Any] = {"direction": direction, "input_direction": direction}
     motion, band = short(round_mount()), (5.0, 15.0)
-    largest = mbd.FrequencyResponse("disc", "disc", band, speed=speed, observer="ground", **ports).peak(motion)
+    largest = mbd.vibrations.FrequencyResponse("disc", "disc", band, speed=speed, observer="ground", **ports).peak(
+        motion
+    )
     w = math.sqrt(K / M - 0.5 * (C / M) ** 2)
     assert float(largest.frequency) == pytest.approx(w / (2.0 * math.pi), rel=1e-9)
     assert float(largest.magnitude) == pytest.approx(abs(1.0 / (K - M * w * w + 1j * w * C)), rel=1e-9)
-    turning = mbd.FrequencyResponse("disc", "disc", band, speed=speed, **ports)
+    turning = mbd.vibrations.FrequencyResponse("disc", "disc", band, speed=speed, **ports)
     if speed:
         with refused("observer", "turning", "output 1", "observer='ground'"):
             turning(motion)
@@ -137,7 +139,7 @@ def test_a_direction_of_the_ground_stands_still_while_the_machine_turns(directio
 def test_a_direction_along_the_axis_is_the_same_for_both_observers():
     motion = short(round_mount())
     ground, turning = (
-        mbd.FrequencyResponse(
+        mbd.vibrations.FrequencyResponse(
             "disc", "disc", (5.0, 40.0), direction="z", input_direction="z", speed=30.0, observer=observer
         )(motion)
         for observer in ("ground", "turning")
@@ -159,16 +161,16 @@ def test_matrices_and_data_refuse_what_their_observer_sees_turn(force, observer,
     inputs, outputs = mbd.signals.ForceOn(at, force), mbd.signals.PointPosition(at)
     state = mbd.equilibrium(system, spin=spin, observer=observer, unstable=True)
     shown = {"frequency": [8.0, 9.0], "sway": [1e-3 + 0j, 1e-3 + 0j]}
-    data = mbd.FrequencyResponseData(
+    data = mbd.identification.FrequencyResponseData(
         shown, inputs, {"sway": (outputs, "x")}, deviation={"sway": 1e-5}, spin=spin, observer=observer
     )
     if message is None:
-        G = mbd.linearize(system, [inputs], [outputs], state).response([8.0])[0, 0, 0]
+        G = mbd.vibrations.linearize(system, [inputs], [outputs], state).response([8.0])[0, 0, 0]
         w = 16.0 * math.pi
         assert abs(G * (K - M * w * w + 1j * w * C) - 1.0) < 1e-9
         return
     with pytest.raises(mbd.InputError, match=message):
-        mbd.linearize(system, [inputs], [outputs], state)
+        mbd.vibrations.linearize(system, [inputs], [outputs], state)
     with pytest.raises(mbd.InputError, match=message):
         data.predict(Run(system, 1.0, {}, {}, mbd.Simulation(system, 1.0), 1, False), {})
 
@@ -177,7 +179,7 @@ def test_of_a_bent_blade_in_rotation():
     """By ply angles and a tip mass, with the state that moves with them. Peaks are as accurate as their damping, the share of
     the stiffness that is left at resonance, allows."""
     options: dict[str, Any] = {"direction": "z", "input_direction": "z", "input_place": "end"}
-    measure = mbd.FrequencyResponse("tip", "blade", (5.0, 40.0), speed=30.0, **options)
+    measure = mbd.vibrations.FrequencyResponse("tip", "blade", (5.0, 40.0), speed=30.0, **options)
     system = blade(damping=3e-2)
     names = [*angles_of(system), "tip.mass"]
     x = {name: system.get_parameter(name).detach()[None] for name in names}
@@ -208,22 +210,22 @@ def test_the_largest_of_many_narrow_peaks():
             mbd.AxialSpringDamper(before.at(), bodies[i].at(), axis="x", stiffness=400.0, damping=1e-3 * (i + 1))
         )
     system = mbd.System(bodies, joints, forces)
-    linear = mbd.linearize(
+    linear = mbd.vibrations.linearize(
         system, [mbd.signals.ForceOn(bodies[3].at(), "x")], [mbd.signals.PointPosition(bodies[6].at())]
     )
     poles = np.linalg.eigvals(linear.A)
     w = np.concatenate([s.imag + s.real * np.linspace(-1.0, 1.0, 2001) for s in poles if s.imag > 3.5])
     _, G = scipy.signal.freqresp((linear.A, linear.B, linear.C[:1], linear.D[:1]), w)
     options: dict[str, Any] = {"direction": "x", "input_direction": "x"}
-    peak = mbd.FrequencyResponse("m6", "m3", (3.5 / (2.0 * math.pi), 10.0), **options).peak(short(system))
+    peak = mbd.vibrations.FrequencyResponse("m6", "m3", (3.5 / (2.0 * math.pi), 10.0), **options).peak(short(system))
     assert float(peak.magnitude) == pytest.approx(np.abs(G).max(), rel=1e-6)
 
 
 def test_without_damping_it_is_infinite():
     motion = short(mass(d=0.0))
     with refused("band", ANY, "5 rad/s", kind=mbd.DesignFailure):
-        mbd.FrequencyResponse("rail", "rail", (0.1, 10.0))(motion)
-    assert float(mbd.FrequencyResponse("rail", "rail", (1.0, 2.0))(motion)) > 0.0
+        mbd.vibrations.FrequencyResponse("rail", "rail", (0.1, 10.0))(motion)
+    assert float(mbd.vibrations.FrequencyResponse("rail", "rail", (1.0, 2.0))(motion)) > 0.0
 
 
 @pytest.mark.parametrize(
@@ -244,22 +246,22 @@ def test_without_damping_it_is_infinite():
 )
 def test_wrong_arguments_are_named(change, path):
     with refused(path):
-        mbd.FrequencyResponse(**{"output": "rail", "input": "rail"} | change).check(mass())
+        mbd.vibrations.FrequencyResponse(**{"output": "rail", "input": "rail"} | change).check(mass())
 
 
 def test_what_cannot_move_does_not_respond():
     load = mbd.RigidBody("load", 2.0, (1.0, 1.0, 1.0))
     motion = short(mbd.System([load], [mbd.Fixed(GROUND.at(), load.at())]))
     ports = {"direction": "x", "input_direction": "x", "place": np.array([0.1, 0.0, 0.0])}
-    assert mbd.FrequencyResponse("load", "load", **ports)(motion).item() == 0.0
+    assert mbd.vibrations.FrequencyResponse("load", "load", **ports)(motion).item() == 0.0
 
 
 def test_in_inference_mode():
     system = mass()
-    measure = mbd.FrequencyResponse("rail", "rail", (0.1, 10.0))
+    measure = mbd.vibrations.FrequencyResponse("rail", "rail", (0.1, 10.0))
     with torch.inference_mode():
         result, [rail] = measure(short(system)), system.joints
-        linear = mbd.linearize(system, [mbd.signals.JointForce(rail)], [mbd.signals.JointTravel(rail)])
+        linear = mbd.vibrations.linearize(system, [mbd.signals.JointForce(rail)], [mbd.signals.JointTravel(rail)])
     assert float(result) == float(measure(short(system)))
     assert linear.A[1].tolist() == [-25.0, -1.0]
 
@@ -274,14 +276,16 @@ def test_from_an_experiment_file():
         "speed": 0,
     }
     measure = measure_of({"frequency_response": spec})
-    assert measure == mbd.FrequencyResponse("load", "rail", (0.1, 10), direction="y", place=(0.1, 0.0, 0.0), speed=0)
+    assert measure == mbd.vibrations.FrequencyResponse(
+        "load", "rail", (0.1, 10), direction="y", place=(0.1, 0.0, 0.0), speed=0
+    )
     assert float(measure(short(mass()))) == pytest.approx(0.1005037815259212, rel=1e-10)
 
 
 def test_a_response_of_zero_has_a_value_and_no_derivative():
     """Across its rail the load does not move: zeros would be no derivative of the magnitude."""
     system = mass()
-    across = mbd.FrequencyResponse("load", "rail", (0.1, 10.0), direction="x")
+    across = mbd.vibrations.FrequencyResponse("load", "rail", (0.1, 10.0), direction="x")
     with torch.no_grad():
         assert across(short(system)).item() == 0.0
     with refused("output", kind=mbd.DesignFailure):

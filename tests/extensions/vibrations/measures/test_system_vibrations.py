@@ -55,22 +55,24 @@ def test_two_masses_in_closed_form():
     squares = torch.linalg.eigvals(torch.tensor([[50.0, -25.0], [-50.0, 50.0]]).double()).real.sort().values
     w = squares.sqrt() / (2.0 * math.pi)
     for k in (1, 2):
-        assert float(mbd.SystemFrequency(k)(motion)) == pytest.approx(float(w[k - 1]), rel=1e-10)
-        assert float(mbd.DampingRatio(k)(motion)) == pytest.approx(float((-upper.real / upper.abs())[k - 1]), rel=1e-9)
-    assert float(mbd.StabilityMargin()(motion)) == pytest.approx(float(s.real.max()), rel=1e-9)
-    smooth = float(mbd.StabilityMargin(sharpness=20.0)(motion))
+        assert float(mbd.vibrations.SystemFrequency(k)(motion)) == pytest.approx(float(w[k - 1]), rel=1e-10)
+        assert float(mbd.vibrations.DampingRatio(k)(motion)) == pytest.approx(
+            float((-upper.real / upper.abs())[k - 1]), rel=1e-9
+        )
+    assert float(mbd.vibrations.StabilityMargin()(motion)) == pytest.approx(float(s.real.max()), rel=1e-9)
+    smooth = float(mbd.vibrations.StabilityMargin(sharpness=20.0)(motion))
     assert float(s.real.max()) < smooth < float(s.real.max()) + math.log(4.0) / 20.0
-    mean = float(mbd.SystemFrequency(cluster=(1, 2))(motion))
+    mean = float(mbd.vibrations.SystemFrequency(cluster=(1, 2))(motion))
     assert mean == pytest.approx(float(w.square().mean().sqrt()), rel=1e-10)
 
 
 MEASURES = [
-    mbd.SystemFrequency(2),
-    mbd.SystemFrequency(cluster=(1, 2), power=-2.0),
-    mbd.DampingRatio(1),
-    mbd.StabilityMargin(),
-    mbd.StabilityMargin(sharpness=5.0),
-    2.0 * mbd.SystemFrequency(1) - mbd.DampingRatio(2),
+    mbd.vibrations.SystemFrequency(2),
+    mbd.vibrations.SystemFrequency(cluster=(1, 2), power=-2.0),
+    mbd.vibrations.DampingRatio(1),
+    mbd.vibrations.StabilityMargin(),
+    mbd.vibrations.StabilityMargin(sharpness=5.0),
+    2.0 * mbd.vibrations.SystemFrequency(1) - mbd.vibrations.DampingRatio(2),
 ]
 
 
@@ -97,7 +99,11 @@ def test_measures_of_one_evaluation_share_the_state(monkeypatch):
     original = module.steady_states
     monkeypatch.setattr(module, "steady_states", lambda *args: calls.append(args) or original(*args))
     problem = mbd.Problem(
-        carriage(), 1e-4, mbd.SystemFrequency(1), [mbd.DampingRatio(1) >= 0.01, mbd.SystemFrequency(2) >= 1.0], steps=2
+        carriage(),
+        1e-4,
+        mbd.vibrations.SystemFrequency(1),
+        [mbd.vibrations.DampingRatio(1) >= 0.01, mbd.vibrations.SystemFrequency(2) >= 1.0],
+        steps=2,
     )
     problem.reference  # noqa: B018  simulates the start, if it must
     calls.clear()
@@ -122,7 +128,7 @@ def test_campbell_clearance_of_a_blade():
     """Against frequencies at each speed; a band that an order crosses is negative."""
     system = blade(speed=30.0)
     name = angles_of(system)[0]
-    measure = mbd.CampbellClearance((1.0, 3.0), band=(25.0, 30.0), modes=(1, 2), points=3)
+    measure = mbd.vibrations.CampbellClearance((1.0, 3.0), band=(25.0, 30.0), modes=(1, 2), points=3)
     x = system.get_parameter(name).detach()[None].clone().requires_grad_()
     got = measured(measure, system, {name: x})
     rows = []
@@ -140,14 +146,19 @@ def test_campbell_clearance_of_a_blade():
     slope = (8.0 * (up - down) - (far_up - far_down)) / (12.0 * h)
     assert float((by * d).sum()) == pytest.approx(float(slope), rel=1e-6)
     first = float(e[0, 0, 1] + 1.0)  # the first frequency at 27.5 rad/s by this speed
-    crossed = mbd.CampbellClearance((first,), band=(25.0, 30.0), modes=(1,), points=3)
+    crossed = mbd.vibrations.CampbellClearance((first,), band=(25.0, 30.0), modes=(1,), points=3)
     assert float(measured(crossed, system, {name: x.detach()})) < 0.0
 
 
 def test_designs_without_a_state_are_statuses():
     """A spring that pushes has no stable state: the design fails by name, the other lane stays."""
     problem = mbd.Problem(
-        carriage(), 1e-4, mbd.SystemFrequency(1), variables=["spring_first.stiffness"], bounds=(-100.0, 100.0), steps=2
+        carriage(),
+        1e-4,
+        mbd.vibrations.SystemFrequency(1),
+        variables=["spring_first.stiffness"],
+        bounds=(-100.0, 100.0),
+        steps=2,
     )
     good, bad = problem.evaluate([[50.0], [-80.0]], True)
     assert good.status == "ok"
@@ -157,22 +168,22 @@ def test_designs_without_a_state_are_statuses():
 @pytest.mark.parametrize(
     ("make", "fault"),
     [
-        (lambda: mbd.SystemFrequency(0), ("number", 0)),
-        (lambda: mbd.SystemFrequency(cluster=(1, 1)), ("cluster", (1, 1))),
-        (lambda: mbd.SystemFrequency(3, cluster=(1, 2)), ("number", 3)),
-        (lambda: mbd.SystemFrequency(1, power=0.0), ("power", 0.0)),
-        (lambda: mbd.SystemFrequency(1, speed=-1.0), ("speed", -1.0)),
-        (lambda: mbd.DampingRatio(1, axis="w"), ("axis", "w")),
-        (lambda: mbd.DampingRatio(1, observer="moon"), ("observer", "moon")),
-        (lambda: mbd.StabilityMargin(sharpness=-1.0), ("sharpness", -1.0)),
-        (lambda: mbd.CampbellClearance((0.0,), (1.0, 2.0)), ("orders", 0.0)),
-        (lambda: mbd.CampbellClearance((1.0,), (1.0, 2.0), modes=([1],)), ("modes", [1])),
-        (lambda: mbd.SystemFrequency(1, center="a"), ("center", "a")),
-        (lambda: mbd.StabilityMargin(sharpness=1.0)(mbd.simulate(fixed(), 1e-4, steps=2)), ("system",)),
-        (lambda: mbd.CampbellClearance((1.0,), (2.0, 1.0)), ("band", (2.0, 1.0))),
-        (lambda: mbd.CampbellClearance((1.0,), (1.0, 2.0), points=1), ("points", 1)),
-        (lambda: mbd.SystemFrequency(9)(mbd.simulate(carriage(), 1e-4, steps=2)), ("number",)),
-        (lambda: mbd.DampingRatio(9)(mbd.simulate(carriage(), 1e-4, steps=2)), ("number",)),
+        (lambda: mbd.vibrations.SystemFrequency(0), ("number", 0)),
+        (lambda: mbd.vibrations.SystemFrequency(cluster=(1, 1)), ("cluster", (1, 1))),
+        (lambda: mbd.vibrations.SystemFrequency(3, cluster=(1, 2)), ("number", 3)),
+        (lambda: mbd.vibrations.SystemFrequency(1, power=0.0), ("power", 0.0)),
+        (lambda: mbd.vibrations.SystemFrequency(1, speed=-1.0), ("speed", -1.0)),
+        (lambda: mbd.vibrations.DampingRatio(1, axis="w"), ("axis", "w")),
+        (lambda: mbd.vibrations.DampingRatio(1, observer="moon"), ("observer", "moon")),
+        (lambda: mbd.vibrations.StabilityMargin(sharpness=-1.0), ("sharpness", -1.0)),
+        (lambda: mbd.vibrations.CampbellClearance((0.0,), (1.0, 2.0)), ("orders", 0.0)),
+        (lambda: mbd.vibrations.CampbellClearance((1.0,), (1.0, 2.0), modes=([1],)), ("modes", [1])),
+        (lambda: mbd.vibrations.SystemFrequency(1, center="a"), ("center", "a")),
+        (lambda: mbd.vibrations.StabilityMargin(sharpness=1.0)(mbd.simulate(fixed(), 1e-4, steps=2)), ("system",)),
+        (lambda: mbd.vibrations.CampbellClearance((1.0,), (2.0, 1.0)), ("band", (2.0, 1.0))),
+        (lambda: mbd.vibrations.CampbellClearance((1.0,), (1.0, 2.0), points=1), ("points", 1)),
+        (lambda: mbd.vibrations.SystemFrequency(9)(mbd.simulate(carriage(), 1e-4, steps=2)), ("number",)),
+        (lambda: mbd.vibrations.DampingRatio(9)(mbd.simulate(carriage(), 1e-4, steps=2)), ("number",)),
     ],
 )
 def test_bad_arguments_are_named(make, fault):
@@ -188,8 +199,10 @@ def fixed() -> mbd.System:
 
 def test_axes_as_arrays_are_those_as_words():
     """Measures are compared and are keys, which arrays cannot be."""
-    by_array = mbd.SystemFrequency(1, axis=np.array([0.0, 0.0, 1.0]), center=torch.zeros(3, dtype=torch.float64))
-    assert by_array == mbd.SystemFrequency(1, axis=(0.0, 0.0, 1.0))
+    by_array = mbd.vibrations.SystemFrequency(
+        1, axis=np.array([0.0, 0.0, 1.0]), center=torch.zeros(3, dtype=torch.float64)
+    )
+    assert by_array == mbd.vibrations.SystemFrequency(1, axis=(0.0, 0.0, 1.0))
     problem = mbd.Problem(carriage(), 1e-4, by_array, [by_array >= 0.01], steps=2)
     assert problem.evaluate(problem.start[None], False)[0].status == "ok"
 
@@ -197,11 +210,11 @@ def test_axes_as_arrays_are_those_as_words():
 @pytest.mark.parametrize(
     ("response", "said"),
     [
-        (mbd.SystemFrequency(1), "system frequency [Hz]"),
-        (mbd.SystemFrequency(2, speed=30.0, axis="x"), "system frequency 2 at 30 rad/s [Hz]"),
-        (mbd.DampingRatio(1, speed=30.0), "damping ratio at 30 rad/s"),
-        (mbd.CriticalSpeed(2), "critical speed 2 [rad/s]"),
-        (mbd.CampbellClearance(), "campbell clearance"),
+        (mbd.vibrations.SystemFrequency(1), "system frequency [Hz]"),
+        (mbd.vibrations.SystemFrequency(2, speed=30.0, axis="x"), "system frequency 2 at 30 rad/s [Hz]"),
+        (mbd.vibrations.DampingRatio(1, speed=30.0), "damping ratio at 30 rad/s"),
+        (mbd.vibrations.CriticalSpeed(2), "critical speed 2 [rad/s]"),
+        (mbd.vibrations.CampbellClearance(), "campbell clearance"),
     ],
 )
 def test_vibrations_of_the_system_have_number_and_speed(response, said):

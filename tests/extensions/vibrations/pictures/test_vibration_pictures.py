@@ -53,8 +53,8 @@ def pictures(
 
 @pytest.mark.thorough
 def test_a_campbell_diagram_and_a_locus_over_the_speeds_that_are_asked_for(tmp_path):
-    clear = mbd.CampbellClearance(orders=(1, 3), band=(3.0, 6.0), modes=(1,))
-    damped = mbd.DampingRatio(1, speed=4.0) >= 0.001
+    clear = mbd.vibrations.CampbellClearance(orders=(1, 3), band=(3.0, 6.0), modes=(1,))
+    damped = mbd.vibrations.DampingRatio(1, speed=4.0) >= 0.001
     drawn, pages = pictures(4.0, mbd.Mass(), [clear >= -1.0, damped], tmp_path)
     assert set(drawn) == {
         f"{name}.{kind}" for name in ("campbell_start", "campbell_best", "root_locus_best") for kind in ("png", "pdf")
@@ -76,7 +76,7 @@ def test_a_campbell_diagram_and_a_locus_over_the_speeds_that_are_asked_for(tmp_p
 
 
 def test_a_machine_at_rest_has_shapes_alone(tmp_path):
-    total = mbd.WeightedSum([(1.0, mbd.Mass()), (1.0, mbd.SystemFrequency(1))])
+    total = mbd.WeightedSum([(1.0, mbd.Mass()), (1.0, mbd.vibrations.SystemFrequency(1))])
     drawn, pages = pictures(0.0, total, [], tmp_path)
     assert not drawn
     assert pages == ["mode_best_1.html"]

@@ -126,7 +126,7 @@ class CriticalSpeed(OfVibrations):
     >>> disk = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01))
     >>> bearing = mbd.Bushing(mbd.Ground().at(), disk.at(), (5e4, 8e3, 5e3), turning_stiffness=(0.0, 30.0, 30.0))
     >>> motion = mbd.simulate(mbd.System([disk], forces=[bearing]), 1e-4, steps=2)
-    >>> second = mbd.CriticalSpeed(2, between=(10.0, 90.0), axis="x", observer="ground")
+    >>> second = mbd.vibrations.CriticalSpeed(2, between=(10.0, 90.0), axis="x", observer="ground")
     >>> round(second(motion).item(), 6)  # sqrt(5e3 / 2) [rad/s]
     50.0
     """
@@ -262,7 +262,7 @@ class StabilityLimit(OfVibrations):
     >>> tip = links[1].at(0, 0, 0, axes=torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64)))
     >>> push = mbd.Force(tip, (mbd.variable(1.0), 0.0, 0.0), axes="frame", name="push")
     >>> motion = mbd.simulate(mbd.System(links, hinges, [*springs, push]), 1e-4, steps=2)
-    >>> round(mbd.StabilityLimit("push.x", (1.0, 6.0), points=6)(motion).item(), 4)  # Ziegler: 41/28 k + c^2 / 2 [N]
+    >>> round(mbd.vibrations.StabilityLimit("push.x", (1.0, 6.0), points=6)(motion).item(), 4)  # Ziegler: 41/28 k + c^2 / 2 [N]
     4.4129
     """
 

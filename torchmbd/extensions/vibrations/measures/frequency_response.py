@@ -3,8 +3,8 @@
     FrequencyResponse("tip", "motor", band=(5.0, 40.0), direction="y") <= 1e-3        [m/(N m)]
 
 The input is a unit force on a body, or the unit effort of a motor in a joint; the output is the position of a point of a body,
-or the angle or travel of a joint, or its rates. Inputs and outputs are those of `mbd.linearize`, about the same states as other
-measures of vibrations (system_vibrations.py).
+or the angle or travel of a joint, or its rates. `linearize` has the same inputs and outputs; the states are those of
+other measures of vibrations (system_vibrations.py).
 Checked in tests/extensions/vibrations/measures/test_frequency_response.py.
 """
 
@@ -38,7 +38,8 @@ class ResponsePeak(NamedTuple):
     where       "peak", or the end of the band at which it is: there the response may be larger outside
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.01, steps=2)
-    >>> mbd.FrequencyResponse("hinge", "hinge", band=(0.6, 2.0)).peak(motion).where  # above the only vibration, 0.498 Hz
+    >>> above = mbd.vibrations.FrequencyResponse("hinge", "hinge", band=(0.6, 2.0))  # the only vibration is at 0.498 Hz
+    >>> above.peak(motion).where
     ['lower end of the band']
     """
 
@@ -71,7 +72,7 @@ class FrequencyResponse(OfVibrations):
     >>> rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y", name="rail")
     >>> spring = mbd.AxialSpringDamper(mbd.Ground().at(), body.at(), axis="y", stiffness=50.0, damping=2.0)
     >>> motion = mbd.simulate(mbd.System([body], [rail], [spring]), 0.01, steps=2)
-    >>> largest = mbd.FrequencyResponse("rail", "rail", band=(0.1, 10.0))
+    >>> largest = mbd.vibrations.FrequencyResponse("rail", "rail", band=(0.1, 10.0))
     >>> round(largest(motion).item(), 6)  # 1 / (k 2 zeta sqrt(1 - zeta^2)), zeta = 0.1
     0.100504
     >>> largest.peak(motion).where, round(largest.peak(motion).frequency.item(), 4)

@@ -100,7 +100,7 @@ class SystemFrequency(OfVibrations):
     axis, center, observer   of the rotation, as in OfVibrations
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(length=2.0), 0.01, steps=2)
-    >>> round(mbd.SystemFrequency(1)(motion).item(), 4)  # sqrt(9.81 / 2) / (2 pi)
+    >>> round(mbd.vibrations.SystemFrequency(1)(motion).item(), 4)  # sqrt(9.81 / 2) / (2 pi)
     0.3525
     """
 
@@ -155,7 +155,7 @@ class DampingRatio(OfVibrations):
     >>> rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y")
     >>> spring = mbd.AxialSpringDamper(mbd.Ground().at(), body.at(), axis="y", stiffness=50.0, damping=2.0)
     >>> motion = mbd.simulate(mbd.System([body], [rail], [spring]), 0.01, steps=2)
-    >>> round(mbd.DampingRatio(1)(motion).item(), 6)  # d / (2 sqrt(k m))
+    >>> round(mbd.vibrations.DampingRatio(1)(motion).item(), 6)  # d / (2 sqrt(k m))
     0.1
     """
 
@@ -206,7 +206,7 @@ class StabilityMargin(OfVibrations):
     >>> rail = mbd.Prismatic(mbd.Ground().at(), body.at(), axis="y")
     >>> spring = mbd.AxialSpringDamper(mbd.Ground().at(), body.at(), axis="y", stiffness=50.0, damping=2.0)
     >>> motion = mbd.simulate(mbd.System([body], [rail], [spring]), 0.01, steps=2)
-    >>> round(mbd.StabilityMargin()(motion).item(), 6)  # -d / (2 m)
+    >>> round(mbd.vibrations.StabilityMargin()(motion).item(), 6)  # -d / (2 m)
     -0.5
     """
 
@@ -258,7 +258,7 @@ class CampbellClearance(OfVibrations):
     >>> disk = mbd.RigidBody("disk", 2.0, (0.02, 0.01, 0.01))
     >>> bearing = mbd.Bushing(mbd.Ground().at(), disk.at(), (5e4, 8e3, 8e3), turning_stiffness=(0.0, 30.0, 30.0))
     >>> motion = mbd.simulate(mbd.System([disk], forces=[bearing]), 1e-4, steps=2)
-    >>> clear = mbd.CampbellClearance((1,), band=(20.0, 30.0), modes=(3,), points=3, axis="x", observer="ground")
+    >>> clear = mbd.vibrations.CampbellClearance((1,), band=(20.0, 30.0), modes=(3,), points=3, axis="x", observer="ground")
     >>> round(clear(motion).item(), 3)  # sqrt(8e3 / 2) = 63.2 rad/s is 111 % above 30
     1.108
     """

@@ -79,9 +79,11 @@ def animate_mode(
     title: str | None = None,
     size: float = 0.08,
 ) -> Path:
-    """Write a vibration about an equilibrium as an HTML file, the player of `animate`; arguments as in `mode_motion`.
+    """Write a vibration about an equilibrium as an HTML file, the player of `animate`. Returns the path of the file.
 
-    title   before frequency and damping
+    rest, number, lane, size   as in `mode_motion`
+    path                       the HTML file
+    title                      the text before frequency and damping
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     >>> mbd.viz.animate_mode(rest, "swing.html").name

@@ -44,7 +44,8 @@ def campbell(
     frequencies  [k, n] [Hz], a column for each vibration; nan where there is none
     damping      damping ratios [k, n] [-], in a second panel; both panels mark those below -0.001 %, which grow
     orders       vibrations per revolution
-    whirl        [k, n], as in `mbd.campbell`: forward whirl is drawn solid, backward dashed, all else dotted; None: all solid
+    title        of the figure
+    whirl        [k, n], as in `campbell`: forward whirl is drawn solid, backward dashed, all else dotted; None: all solid
 
     >>> speeds = torch.linspace(0.0, 300.0, 31, dtype=torch.float64)
     >>> frequencies = torch.stack([20.0 - 0.02 * speeds, 20.0 + 0.03 * speeds], 1)
@@ -104,6 +105,7 @@ def root_locus(values: Any, poles: Any, heading: str, title: str = "") -> Figure
     values   of the variable [k], such as a speed or a design variable, in the unit of `heading`
     poles    complex [k, n] [1/s]; of pairs the upper one is drawn
     heading  name and unit of the variable
+    title    of the figure
 
     >>> c = torch.linspace(0.0, 1.5, 16, dtype=torch.float64)
     >>> poles = torch.complex(-0.5 * c, (4.0 - 0.25 * c**2).sqrt())[:, None]

@@ -15,7 +15,7 @@ from typing import Any
 
 import torch
 
-from torchmbd.extensions.vibrations.campbell_diagram import Campbell, campbell
+from torchmbd.extensions.vibrations.campbell_diagram import CampbellDiagram, campbell
 from torchmbd.extensions.vibrations.eigenvalues import NATURAL, POLES
 from torchmbd.extensions.vibrations.measures.critical_values import SPEED, CriticalSpeed, StabilityLimit
 from torchmbd.extensions.vibrations.measures.system_vibrations import (
@@ -93,7 +93,7 @@ def _orders(measures: Sequence[OfVibrations]) -> list[float]:
     return sorted(named) or [1.0, 2.0, 3.0]
 
 
-def _diagrams(diagram: Campbell, measures: Sequence[OfVibrations], words: Sequence[Any], draw: Draw) -> None:
+def _diagrams(diagram: CampbellDiagram, measures: Sequence[OfVibrations], words: Sequence[Any], draw: Draw) -> None:
     labels, title, end = words
     damped = bool((diagram.damping_ratios.abs() > spectra.UNDAMPED).any())
     for lane, name in enumerate(("start", "best")):
