@@ -28,6 +28,7 @@ from torch import Tensor
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown, warn
 from torchmbd.integrate import Trajectory
+from torchmbd.math.lane_groups import by_groups
 from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody, Ground
 from torchmbd.multibody.joints import Cylindrical, Prismatic, Revolute, Spherical
 from torchmbd.multibody.joints.joint import Joint
@@ -65,11 +66,17 @@ class StrainEnergy(History):
         body = motion.body(self.body)
         if isinstance(body, BeamMotion):
             return None
-        Kr, w, wd, wdd = body.stiffness[0], body.w, body.wd, body.wdd
-        force, stiff, bent = w @ Kr, wd @ Kr, body.bent_stiffness
-        if bent is not None:
-            force, stiff = force + 0.5 * (bent @ w[..., None])[..., 0], stiff + (bent @ wd[..., None])[..., 0]
-        return (force * wd).sum(-1), (stiff * wd + force * wdd).sum(-1)
+        bent, tensors = body.bent_stiffness, (body.stiffness[0], body.w, body.wd, body.wdd)
+        first, second = by_groups(_energy_rates, *tensors, *([] if bent is None else [bent]))
+        return first, second
+
+
+def _energy_rates(Kr: Tensor, w: Tensor, wd: Tensor, wdd: Tensor, bent: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """First and second rate [lanes, times] of the strain energy."""
+    force, stiff = w @ Kr, wd @ Kr
+    if bent is not None:
+        force, stiff = force + 0.5 * (bent @ w[..., None])[..., 0], stiff + (bent @ wd[..., None])[..., 0]
+    return (force * wd).sum(-1), (stiff * wd + force * wdd).sum(-1)
 
 
 @dataclass(frozen=True)

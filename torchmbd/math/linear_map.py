@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.lane_groups import by_groups
 from torchmbd.math.products import compiled_products
 from torchmbd.math.vmap import apply_as_lanes
 
@@ -44,7 +45,7 @@ def apply_linear(linear: LinearMap, *x: Tensor) -> Tensor:
 class _Mapped(torch.autograd.Function):
     @staticmethod
     def forward(linear: LinearMap, *x: Tensor) -> Tensor:
-        return linear(*x)
+        return by_groups(lambda *x: (linear(*x),), *(y.detach() for y in x))[0]
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
@@ -66,7 +67,7 @@ class _Mapped(torch.autograd.Function):
 class _Adjoint(torch.autograd.Function):
     @staticmethod
     def forward(linear: LinearMap, y: Tensor) -> tuple[Tensor, ...]:
-        return linear.adjoint(y)
+        return by_groups(lambda y: tuple(linear.adjoint(y)), y.detach())
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: Any) -> None:

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_line import varying_nodes
+from torchmbd.math.lane_groups import by_groups
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.bodies import Frame
@@ -152,7 +153,7 @@ class BodyMotion(Summary):
     def strain_energy(self) -> Tensor:
         """U = 1/2 w' Kr w [lanes, times] [J], eq. (17), and 1/6 K2 www of a body with a quadratic stiffness."""
         w, bent = self.w, self.bent_stiffness
-        energy = 0.5 * ((w @ self.stiffness[0]) * w).sum(-1)
+        (energy,) = by_groups(lambda w, K: (0.5 * ((w @ K) * w).sum(-1),), w, self.stiffness[0])
         return energy if bent is None else energy + (w * (bent @ w[..., None])[..., 0]).sum(-1) / 6.0
 
     @property

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.pair import Pair, value
+from torchmbd.math.row_selection import select_rows
 from torchmbd.multibody.equations.equations import Data
-from torchmbd.multibody.saddle.expansion import Expansion, select_rows
+from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.saddle.least_norm import LeastNorm
 from torchmbd.results.state import State
 
@@ -96,7 +97,8 @@ class History:
 
     def rows(self, order: int, rows: Sequence[int] | None = None, pair: slice = slice(None)) -> Tensor:
         """Rows of q (order 0), v (1) or a (2) of the whole [times, k, pair, lanes]."""
-        x = (self.q, self.v, self.vd)[order][:, :, pair]
+        x = (self.q, self.v, self.vd)[order]
+        x = x if pair == slice(1) and x.shape[2] == 1 else x[:, :, pair]
         if self.expansion is not None:
             return self.expansion.rows(order, x, rows, values=not pair.start)
         return x if rows is None else select_rows(x, rows)

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchmbd.math.gradients import all_true
 from torchmbd.math.pair import Pair
+from torchmbd.math.row_selection import lanes_first
 from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.saddle.rank import Rank
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -179,8 +180,8 @@ class IntegratedSignals(Signals):
         return IntegratedSignals(plain, self.integration, data, self.valid_times, at_steps)
 
     def _values(self, name: str, rows: Rows) -> Tensor:
-        x = self._of(name, rows, slice(1))[:, :, 0].permute(2, 0, 1)
-        return x if rows is None else x.contiguous()
+        x = self._of(name, rows, slice(1))
+        return x.squeeze(2).permute(2, 0, 1) if rows is None else lanes_first(x)
 
     def _tangents(self, name: str, rows: Rows) -> Tensor | None:
         if not self.has_tangents:

@@ -39,6 +39,18 @@ def test_more_copies_than_the_block_has_columns_are_all_found():
     torch.testing.assert_close(ritz.mu[0, :copies], values[:copies], rtol=1e-12, atol=0)
 
 
+def test_unwanted_eigenvalues_just_below_the_wanted_ones_are_not_taken_for_missed_ones():
+    wanted = 1 + 0.03 * torch.rand(12, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    values = torch.cat([wanted, torch.full((36,), 0.6, dtype=torch.float64), 0.3 * spectrum(552)])
+    make = torch.Generator().manual_seed(1)
+    turn = torch.linalg.qr(torch.randn(600, 600, generator=make, dtype=torch.float64))[0]
+    H = (turn * values) @ turn.T
+    ritz, recurrence = lanczos(lambda X: H @ X, (1, 600), 12, 1e-12)
+    assert ritz is not None
+    torch.testing.assert_close(ritz.mu[0, :12], wanted.sort(descending=True)[0], rtol=1e-12, atol=0)
+    assert recurrence.X.shape[2] == BLOCK  # it did not start again
+
+
 @pytest.mark.parametrize("missing", [0, 4])
 def test_the_probe_notices_an_eigenvector_that_the_basis_lacks(missing):
     values, n = spectrum(200), 6

@@ -23,6 +23,8 @@ Checked in tests/fem/reduction/test_invariants.py against direct nodal sums.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -37,6 +39,11 @@ def inertia_invariants(
     psi: Float[Tensor, "*lanes nodes 6 modes"],
 ) -> dict[str, Tensor]:
     """Sum over the nodes; keys and shapes as in the module header, with leading lanes. Raises InputError on shapes."""
+    return all_invariants(x, mass, rotary, modal_invariants(x, mass, rotary, psi))
+
+
+def modal_invariants(x: Tensor, mass: Tensor, rotary: Tensor, psi: Tensor) -> tuple[Tensor, ...]:
+    """The invariants that depend on the modes: S1, C0, C1, R1, R2; arguments as in `inertia_invariants`."""
     nodes = x.shape[-2]
     if mass.shape[-1] != nodes or rotary.shape[-1] != nodes or psi.shape[-3:-1] != (nodes, 6):
         shapes = ", ".join(str(tuple(a.shape)) for a in (x, mass, rotary, psi))
@@ -47,17 +54,29 @@ def inertia_invariants(
             noun="x, mass, rotary, psi",
         )
     t, r = psi[..., :3, :], psi[..., 3:, :]
+    return (
+        torch.einsum("...k,...kia->...ia", mass, t),
+        torch.einsum("...kj,...kia->...ija", mass[..., None] * x, t),
+        _pairs(t, mass),
+        torch.einsum("...k,...kia->...ia", rotary, r),
+        _pairs(r, rotary),
+    )
+
+
+def all_invariants(x: Tensor, mass: Tensor, rotary: Tensor, modal: Sequence[Tensor]) -> dict[str, Tensor]:
+    """All invariants, of which the `modal_invariants` are known."""
+    S1, C0, C1, R1, R2 = modal
     weighted = mass[..., None] * x
     return {
         "mass": mass.sum(-1),
         "S0": weighted.sum(-2),
-        "S1": torch.einsum("...k,...kia->...ia", mass, t),
+        "S1": S1,
         "P0": weighted.mT @ x,
-        "C0": torch.einsum("...kj,...kia->...ija", weighted, t),
-        "C1": _pairs(t, mass),
+        "C0": C0,
+        "C1": C1,
         "mu": rotary.sum(-1),
-        "R1": torch.einsum("...k,...kia->...ia", rotary, r),
-        "R2": _pairs(r, rotary),
+        "R1": R1,
+        "R2": R2,
     }
 
 

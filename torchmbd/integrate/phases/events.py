@@ -27,10 +27,10 @@ from torchmbd.errors import InputError
 from torchmbd.integrate.lanes import expanded, join_lanes, lanes_of, pick_lanes
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
+from torchmbd.math.row_selection import select_rows
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.times_as_lanes import at_time, over_times
 from torchmbd.multibody.equations.topology import Prescribed
-from torchmbd.multibody.saddle.expansion import select_rows
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, GivenShapes, SomeLanes, shape_tangents

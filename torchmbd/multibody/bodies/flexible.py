@@ -36,7 +36,9 @@ from torchmbd.fem.elements.beam_line import present_nodes, varying_nodes
 from torchmbd.fem.elements.links import RigidLink
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import MaterialAxes, Mesh
-from torchmbd.fem.reduction import CutCluster, inertia_invariants
+from torchmbd.fem.reduction import CutCluster
+from torchmbd.fem.reduction.invariants import all_invariants, modal_invariants
+from torchmbd.math.lane_groups import by_groups
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.body_memory import require_memory
 from torchmbd.multibody.bodies.expansion import Expansion
@@ -402,15 +404,26 @@ class FlexibleBody(MatrixMethods, nn.Module):
             basis = self.reduction(K, M)
         except CutCluster as error:
             raise error.of_body(self.name) from None
-        psi = self.assembly.freedoms.expand(basis.vectors)
-        psi = psi if self._rotations is None else self._rotations(psi)
         _, mass, rotary, arm = points
         x = self.assembly.mass_positions(self.places(), arm)
-        result = inertia_invariants(x, mass, rotary, self.assembly.mass_motion(psi, arm)) | {
-            "Kr": basis.stiffness,
-            "psi": psi,
-        }
+        psi, *modal = self._with_modes(basis.vectors, x, mass, rotary, arm)
+        result = all_invariants(x, mass, rotary, modal) | {"Kr": basis.stiffness, "psi": psi}
         if (lost := self.assembly.loss_stiffness()) is not None:
             result["loss"] = basis.vectors.mT @ (lost @ basis.vectors)
         stiffening = self.stiffening or (Stiffening(self.name, self.assembly) if second_order else None)
         return result if stiffening is None else result | stiffening(K, points, x, psi, nodes)
+
+    def _with_modes(
+        self, vectors: Tensor, x: Tensor, mass: Tensor, rotary: Tensor, arm: Tensor | None
+    ) -> tuple[Tensor, ...]:
+        """Mode shapes at the nodes, and the invariants that depend on them, of vectors [..., N, m]."""
+
+        def of_lanes(vectors: Tensor, x: Tensor, mass: Tensor, rotary: Tensor, *arm: Tensor) -> tuple[Tensor, ...]:
+            psi = self.assembly.freedoms.expand(vectors)
+            psi = psi if self._rotations is None else self._rotations(psi)
+            return psi, *modal_invariants(x, mass, rotary, self.assembly.mass_motion(psi, *(arm or [None])))
+
+        points = [(x, 2), (mass, 1), (rotary, 1), *([] if arm is None else [(arm, 2)])]
+        if vectors.dim() != 3:
+            return of_lanes(vectors, *(y for y, _ in points))
+        return by_groups(of_lanes, vectors, *(y.expand(len(vectors), *y.shape[-n:]) for y, n in points))

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.pair import cat, linear
+from torchmbd.math.row_selection import select_rows
 
 
 class SegmentSum:
@@ -42,7 +43,10 @@ class SegmentSum:
 
 
 class SparseMap:
-    """A constant matrix [m, k] with few entries in a row: y = matrix x of tensors or pairs x [k, ...], by one gather."""
+    """A constant matrix [m, k] with few entries in a row: y = matrix x of tensors or pairs x [k, ...], by one gather.
+
+    x may also be a tensor [times, k, pair, lanes] with `axis` 1.
+    """
 
     def __init__(self, matrix: Tensor):
         entries = [[(j, float(c)) for j, c in enumerate(row) if c != 0.0] for row in matrix.tolist()]
@@ -57,7 +61,7 @@ class SparseMap:
         """The map of some rows of the matrix."""
         return SparseMap(self.matrix[rows])
 
-    def __call__(self, x):
-        y = x.index_select(0, self.table)
+    def __call__(self, x, axis: int = 0):
+        y = select_rows(x, self.table) if axis else x.index_select(0, self.table)
         y = y if self.factors is None else y * self.factors
-        return y if self.width == 1 else y.unflatten(0, (self.width, self.rows)).sum(0)
+        return y if self.width == 1 else y.unflatten(axis, (self.width, self.rows)).sum(axis)

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.module_call import outside_transforms
+from torchmbd.math.row_selection import select_rows
 from torchmbd.multibody.equations.equations import Data
 from torchmbd.multibody.equations.index_maps import SparseMap
 from torchmbd.multibody.saddle.condensation import Condensation, component_count, component_rows
@@ -53,10 +54,7 @@ class Expansion:
         """
         c, components = self.condensation, 6 if order else 7
         selected = _selected(c, components, None if index is None else tuple(index))
-        if selected.map is None:
-            y = select_rows(x, selected.source)
-        else:
-            y = selected.map(x.transpose(0, 1).flatten(1, 2)).unflatten(1, (x.shape[0], x.shape[2])).transpose(0, 1)
+        y = select_rows(x, selected.source) if selected.map is None else selected.map(x, 1)
         if len(selected.places) == selected.count:
             return y
         result = y.new_zeros(len(x), selected.count, *x.shape[2:])
@@ -116,8 +114,3 @@ def _made(c: Condensation, components: int, index: tuple[int, ...] | None) -> _S
 
 def _indices(numbers: Sequence[int]) -> Tensor:
     return torch.tensor(numbers, dtype=torch.long)
-
-
-def select_rows(x: Tensor, rows: Sequence[int] | Tensor) -> Tensor:
-    """Rows of x [times, k, pair, lanes]."""
-    return x.index_select(1, torch.as_tensor(rows, dtype=torch.long))
