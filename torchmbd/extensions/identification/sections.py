@@ -207,7 +207,7 @@ class ExperimentData(Section):
 
 
 class Identify(Section):
-    """Arguments of torchmbd.identify.
+    """Arguments of torchmbd.identification.identify.
 
     unknowns         unknowns with bounds and a unit
     experiments      name -> what was measured
