@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -147,6 +148,59 @@ def test_a_search_cut_off_by_its_limit_of_boxes_says_so(limit):
     assert cut.status == ("converged" if cut.boxes < limit or limit == 1000 else "max_boxes")
     assert ("boxes were left" in cut.message) == (cut.status == "max_boxes")
     assert cut.best.value >= whole.best.value * (1.0 - 1e-9)
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 4, 8])
+@pytest.mark.parametrize("allowed", [1.0, [1.0, 1.0, [-6.0, 0.0, 5.0]]])
+def test_a_search_that_has_not_converged_bounds_no_box(iterations, allowed):
+    """A value where a limit of iterations ended is above what its box holds: the result is exact, or is not "converged"."""
+    problem = valley()
+    result = optimize_discrete(problem, allowed, max_iterations=iterations)
+    value = enumerated(problem, Grid(problem, allowed, problem.lower, problem.upper, None).values)
+    assert result.boxes > 0
+    assert result.status == "converged"
+    assert result.best.value == pytest.approx(value, rel=1e-9)
+
+
+def wall(fails: Callable[[np.ndarray], bool]) -> Analytic:
+    """A convex problem whose designs fail in a part of the domain."""
+    f = lambda x: 50 * (x[0] + 0.1 * x[1] - 0.6) ** 2 + 0.01 * x[1] ** 2  # noqa: E731
+    return Analytic("wall", [0.5, 0.5], f, lower=-8.0, upper=8.0, fails=fails)
+
+
+@pytest.mark.parametrize(
+    "first", [0.9, 0.3, -9.0]
+)  # x1 of the failing designs from here: a box, more, the start as well
+def test_a_box_whose_start_fails_is_searched_from_elsewhere(first):
+    problem = wall(lambda x: bool(first < x[0] < 1.3 and abs(x[1]) < 3))
+    result = optimize_discrete(problem, 1.0)
+    values = np.arange(-8.0, 9.0)
+    known = [(problem.f(x), x) for x in product(values, values) if not problem.fails(x)]
+    assert result.best.value == pytest.approx(min(known)[0], rel=1e-9)
+
+
+def test_boxes_that_cannot_be_searched_are_counted():
+    """Of designs on values that fail for all but one continuous choice nothing is known: the search has not converged."""
+    problem = wall(lambda x: bool(x[0] > 0.9 and abs(x[1] - 4.0) > 1e-9))
+    result = optimize_discrete(problem, [1.0, None])
+    assert result.status == "stalled"
+    assert "boxes did not converge, or their starts failed" in result.message
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_the_nearest_admitted_design_is_that_in_increments(unit):
+    """In other units of a variable it is the same design."""
+    box = SimpleNamespace(names=["angle", "thickness"])
+    even = lambda x: round(x[0] / 0.1 + x[1] / unit) % 2 == 0  # noqa: E731
+    grid = Grid(box, [0.1, unit], np.array([-1.0, 0.0]), np.array([1.0, 10 * unit]), None, even)
+    x = grid.nearest_admitted(np.array([0.13, 4.0 * unit]), 2, 1000)
+    assert x == pytest.approx([0.2, 4.0 * unit])
+
+
+def test_the_nearest_admitted_angle_may_lie_across_the_ends():
+    box = SimpleNamespace(names=["angle"])
+    grid = Grid(box, 10.0, np.array([-90.0]), np.array([90.0]), np.array([180.0]), lambda x: x[0] in (-80.0, 70.0))
+    assert grid.nearest_admitted(np.array([88.0]), 2, 100) == pytest.approx([-80.0])
 
 
 @pytest.mark.thorough

@@ -4,6 +4,8 @@
 2. Branches: the variable farthest from its values gets two boxes, up to the value below and from the value above. Each box
    is searched again with gradients, from where its parent ended; a box whose minimum is not better than the best design on
    the values is dropped with all that lies in it. The boxes of a wave run in common batches: their simulations are one batch.
+   Only a search that converged bounds its box. A box whose search ended otherwise keeps the bound of its parent and is
+   divided; a box whose start fails is halved, and each half starts at its middle.
 3. Confirmation: every minimum found is rounded and evaluated in full. Only evaluated designs are results. The extra variable
    of a min-max problem (extra_variable.py) is no choice: every design has the least that its own rows allow.
 4. Certificate: all neighbors of the best design within two increments are evaluated; from a better one it goes on.
@@ -17,7 +19,7 @@ Gupta and Ravindran, Branch and bound experiments in convex nonlinear integer pr
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -60,12 +62,17 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Branch:
-    """A box to search, from x; nothing in it is expected below `bound`."""
+    """A box to search, from x.
+
+    bound  nothing in the box is expected below: where the search of a box that contains it has converged; -inf without one
+    value  where the search before ended, which decides the order; inf if its start failed
+    """
 
     lower: np.ndarray
     upper: np.ndarray
     x: np.ndarray
     bound: float
+    value: float
 
 
 class Branching:
@@ -91,55 +98,86 @@ class Branching:
         self.extra = start[-1:] if has_extra else start[:0]  # designs are evaluated by that of the start
         self.feasibility, self.max_lanes = feasibility, max_lanes
         self.boxes, self.queue = 0, list[Branch]()  # searched, and left
+        self.unfinished: list[Branch] = []  # searched without an optimum, and not to be divided
         self.best: Candidate | None = None
         self.rounded: Candidate | None = None  # plain rounding of the best relaxed minimum
 
     def run(self, relaxed: MultistartResult, max_boxes: int) -> bool:
         """Search the boxes below the relaxed minima; return whether the user stopped it."""
-        roots = [(m.x, m.value) for m in relaxed.minima]
+        roots = [(m.x, m.value, m.value) for m in relaxed.minima]
         if relaxed.best is not None and not roots:
-            roots = [(relaxed.best.x, relaxed.best.value)]
-        first = self.confirm(np.array([x for x, _ in roots] or [r.x for r in relaxed.results]))
+            roots = [(relaxed.best.x, -np.inf, relaxed.best.value)]
+        first = self.confirm(np.array([x for x, _, _ in roots] or [r.x for r in relaxed.results]))
         self.rounded = first[0] if first else None
-        queue = [branch for x, value in roots for branch in self.root(x, value)]
+        queue = [branch for root in roots for branch in self.root(*root)]
+        if not roots and any(r.status == "failed" for r in relaxed.results):
+            queue = self.halve(Branch(self.lower, self.upper, relaxed.results[0].x, -np.inf, np.inf))
         while queue and self.boxes < max_boxes:
-            queue = sorted((b for b in queue if b.bound < self.limit), key=lambda b: b.bound)
+            queue = sorted((b for b in queue if b.bound < self.limit), key=lambda b: b.value)
             room = min(self.max_lanes, max_boxes - self.boxes)
             wave, queue = queue[:room], queue[room:]
-            ends, interrupted = run_batched(
-                self.cache, [partial(self.search, b) for b in wave], self.run_one, self.max_lanes
-            )
+            ends: list[OptimizationResult] = []
+            searches = [partial(self.search, b) for b in wave]
+            _, interrupted = run_batched(self.cache, searches, self.run_one, self.max_lanes, ends.append)
             if interrupted:
                 return True
             self.boxes += len(wave)
-            solutions = [(b, end) for b, end in zip(wave, ends, strict=True) if end is not None]
-            self.confirm(np.array([end.x for _, end in solutions]).reshape(-1, self.lower.size))
-            for branch, end in solutions:
-                queue += self.split(branch.lower, branch.upper, end.x, end.value)
+            ends.sort(key=lambda end: end.start)
+            feasible = [end.x for end in ends if end.status not in ("failed", "infeasible")]
+            self.confirm(np.array(feasible).reshape(-1, self.lower.size))
+            for branch, end in zip(wave, ends, strict=True):
+                queue += self.divide(branch, end)
         self.queue = queue
         return False
 
-    def root(self, x: np.ndarray, value: float) -> list[Branch]:
+    def root(self, x: np.ndarray, bound: float, value: float) -> list[Branch]:
         """Return the branches of a relaxed minimum, or the box of all values if the minimum lies outside."""
         inside = np.clip(x, self.lower, self.upper)
-        if np.array_equal(inside, x):
-            return self.split(self.lower, self.upper, x, value)
-        return [Branch(self.lower, self.upper, inside, value)]
+        whole = Branch(self.lower, self.upper, inside, bound, value)
+        return self.split(whole) if np.array_equal(inside, x) else [whole]
 
-    def split(self, lower: np.ndarray, upper: np.ndarray, x: np.ndarray, value: float) -> list[Branch]:
-        """Return the two boxes beside the gap that the most undecided variable lies in; none if all are on values."""
-        off = self.grid.off(x)
-        j = int(np.argmax(off))
-        if off[j] == 0.0:
+    def divide(self, branch: Branch, end: OptimizationResult) -> list[Branch]:
+        """Return the parts of a box that may hold a better design than those found, after its search."""
+        if end.status == "infeasible":
             return []
-        below, above = self.grid.around(x, j)
-        branches = []
+        if end.status == "failed":
+            return self.halve(branch)
+        bound = end.value if end.converged else branch.bound
+        return self.split(replace(branch, x=end.x, bound=bound, value=end.value), end.converged)
+
+    def split(self, branch: Branch, converged: bool = True) -> list[Branch]:
+        """Return the two boxes beside the gap that the most undecided variable lies in.
+
+        If all are on values, there are none after a search that converged; otherwise the box is cut beside x.
+        """
+        off = self.grid.off(branch.x)
+        j = int(np.argmax(off))
+        if off[j] > 0.0:
+            return self.cut(branch, j, *self.grid.around(branch.x, j))
+        return [] if converged else self.halve(branch, branch.x)
+
+    def halve(self, branch: Branch, x: np.ndarray | None = None) -> list[Branch]:
+        """Return two parts of a box, cut beside x in the variable with most values; without x in the middle, to start there."""
+        values = [self.grid.within(j, branch.lower[j], branch.upper[j]) for j in range(branch.x.size)]
+        j = int(np.argmax([len(v) for v in values]))
+        if len(values[j]) < 2:
+            if (branch.lower < branch.upper).any():  # continuous variables, of one choice of the others
+                self.unfinished.append(branch)
+            return []
+        k = (len(values[j]) - 1) // 2 if x is None else int(np.argmin(np.abs(values[j] - x[j])))
+        k = min(k, len(values[j]) - 2)
+        parts = self.cut(branch, j, float(values[j][k]), float(values[j][k + 1]))
+        return [replace(part, x=_middle(part), value=np.inf) for part in parts] if x is None else parts
+
+    def cut(self, branch: Branch, j: int, below: float, above: float) -> list[Branch]:
+        """Return the parts of a box up to a value of variable j, and from the next one, if they are not empty."""
+        lower, upper, branches = branch.lower, branch.upper, []
         for side, edge in ((upper, below), (lower, above)):
             if lower[j] <= edge <= upper[j]:
                 moved = side.copy()
                 moved[j] = edge
                 box = (lower, moved) if side is upper else (moved, upper)
-                branches.append(Branch(*box, np.clip(x, *box), value))
+                branches.append(Branch(*box, np.clip(branch.x, *box), branch.bound, branch.value))
         return branches
 
     def search(self, branch: Branch, index: int, evaluate_batch: EvaluateBatch, report: Report) -> Search:
@@ -207,6 +245,11 @@ class Branching:
         """Boxes left that may hold something better."""
         return sum(branch.bound < self.limit for branch in self.queue)
 
+    @property
+    def unsearched(self) -> int:
+        """Boxes that may hold something better, and whose search did not converge or begin."""
+        return sum(branch.bound < self.limit for branch in self.unfinished)
+
     def candidates(self) -> list[Candidate]:
         """Return all evaluated designs on the values, the best first."""
         candidates = {
@@ -215,6 +258,12 @@ class Branching:
             if evaluation.ok and np.array_equal(self.grid.nearest(x), x) and self.grid.admits(x)
         }
         return sorted(candidates.values(), key=self.rank)
+
+
+def _middle(branch: Branch) -> np.ndarray:
+    """Return the middle [n] of a box; a variable without finite bounds stays at x."""
+    middle = 0.5 * (branch.lower + branch.upper)
+    return np.where(np.isfinite(middle), middle, branch.x)
 
 
 @dataclass(frozen=True)
@@ -231,7 +280,9 @@ class Certificate:
 @dataclass(frozen=True)
 class DiscreteResult:
     best: Candidate | None
-    status: str  # as of OptimizationResult; "converged": feasible, all boxes searched, and the certificate holds
+    status: (
+        str  # as of OptimizationResult; "converged": feasible, the search of every box ended, and the certificate holds
+    )
     message: str
     certificate: Certificate | None
     rounded: Candidate | None  # what plain rounding of the best relaxed minimum gives
@@ -367,6 +418,12 @@ def _ended(
         return "max_boxes", f"{branching.open} boxes were left after {branching.boxes}; {outcome}"
     if best.violation > feasibility:
         return "infeasible", f"no feasible design on the allowed values was found; x violates least among its {around}"
+    missing = []
+    if branching.unsearched:
+        missing.append(f"the searches of {branching.unsearched} boxes did not converge, or their starts failed")
     if not certificate.holds:
-        return "stalled", f"{certificate.failed} of {around}, could not be evaluated; none of the others is better"
+        missing.append(f"{certificate.failed} of {around}, could not be evaluated")
+    if missing:
+        others = "none of the others is better" if not certificate.holds else f"no better design among {around}"
+        return "stalled", "; ".join([*missing, others])
     return "converged", f"no better design among {around}"

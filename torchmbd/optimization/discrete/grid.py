@@ -73,7 +73,21 @@ class Grid:
         if self.admits(rounded):
             return rounded
         X, _ = self.neighbors(rounded, steps, at_most)
-        return X[np.argmin(((X - x) ** 2).sum(axis=1))] if len(X) else None
+        return X[np.argmin((self.increments(X, x) ** 2).sum(axis=1))] if len(X) else None
+
+    def increments(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return how many increments each variable of designs X [k, n] is from x [n]; 0 for continuous ones [k, n].
+
+        Differences in the units of the variables would let these units choose the nearest design.
+        """
+        result = np.zeros(X.shape)
+        for j, values in enumerate(self.values):
+            if values is not None:
+                numbers = np.arange(len(values))
+                moved = np.interp(X[:, j], values, numbers) - np.interp(x[j], values, numbers)
+                turn = len(values) - 1
+                result[:, j] = moved - turn * np.round(moved / turn) if self.circle[j] else moved
+        return result
 
     def off(self, x: np.ndarray) -> np.ndarray:
         """Return how far each variable is from its values, as a share of the gap it lies in: 0 to 0.5 [n]."""
@@ -83,6 +97,11 @@ class Grid:
             gap = above - below
             distances[j] = min(x[j] - below, above - x[j]) / gap if gap > 0.0 else 0.0
         return np.where(distances < ON, 0.0, distances)
+
+    def within(self, j: int, low: float, high: float) -> np.ndarray:
+        """Return the ascending values of variable j from low to high [k]; none of a continuous variable."""
+        values = self.values[j]
+        return np.empty(0) if values is None else values[(values >= low) & (values <= high)]
 
     def around(self, x: np.ndarray, j: int) -> tuple[float, float]:
         """Return the values next to variable j, below and above (the same where it is on one, or outside of all)."""
