@@ -14,7 +14,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError
 from torchmbd.integrate.held_times import steps_at, substeps_at
@@ -403,6 +403,20 @@ def test_a_duration_that_moves_past_jumps_has_no_gradient():
     for system in (held(1.0, -1.0), loaded(switched)):
         with refused("duration"):
             mbd.simulate(system, duration, steps=20)
+
+
+def test_laws_of_phases_and_drives_that_jump_have_no_gradient_by_the_duration():
+    """But a law does that jumps while another one acts."""
+    duration = tensor(2.0)[0].requires_grad_()
+    smooth, jumping = (lambda s, v, t: 0.0 * s), (lambda s, v, t: 0.0 * s + switched(t))
+    for phases in ([mbd.Phase(laws={"push": jumping})], [mbd.Phase(until=0.5), mbd.Phase(laws={"push": jumping})]):
+        with refused("duration", ANY, "law of 'push'"):
+            mbd.simulate(sprung(smooth), duration, steps=20, phases=phases)
+    for law in (lambda t: torch.where(t < 1.0, t, 2.0 - t), lambda t: torch.where(t < 1.0, 0.0 * t, 1.0 + 0.0 * t)):
+        with refused("duration", ANY, "law of 'motor'"):
+            mbd.simulate(driven(law), duration, steps=20)
+    motion = mbd.simulate(sprung(jumping), duration, steps=20, phases=[mbd.Phase(laws={"push": smooth})])
+    assert motion.body("rotor").omega.requires_grad
 
 
 def test_numbers_of_steps():

@@ -7,7 +7,7 @@ Checked in tests/diagnosis/test_jumps.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -63,15 +63,21 @@ def warn_of_jumps(
             if not divides:
                 _warn_of_held(force, duration, steps, count, phases)
             _warn_of_module(force, duration)
-        for force in system.forces:
-            if not isinstance(force, Controller):
-                times = _jumps_of_force(force, duration)
-                _warn_of_force(force.name, [t for t in times if _acts(force.name, phases, t)])
-        for number, phase in enumerate(phases):
-            for name, law in phase.laws.items():
-                of_time = [] if is_library_law(law) else [_at_a_state(law)]
-                times = _sampled((name, "law"), of_time, duration)
-                _warn_of_force(name, [t for t in times if _within(phases, number, t)])
+        for name, times in _jumps_of_laws(system, duration, phases):
+            _warn_of_force(name, times)
+
+
+def _jumps_of_laws(system: Any, duration: float, phases: Sequence[Phase]) -> Iterator[tuple[str, list[float]]]:
+    """Name and jumps of each law of a force but controllers, of the system and of its phases, where it acts."""
+    for force in system.forces:
+        if not isinstance(force, Controller):
+            times = _jumps_of_force(force, duration)
+            yield force.name, [t for t in times if _acts(force.name, phases, t)]
+    for number, phase in enumerate(phases):
+        for name, law in phase.laws.items():
+            of_time = [] if is_library_law(law) else [_at_a_state(law)]
+            times = _sampled((name, "law"), of_time, duration)
+            yield name, [t for t in times if _within(phases, number, t)]
 
 
 def _jumps(
@@ -135,21 +141,25 @@ def _jumps_of_module(force: Controller, duration: float) -> list[float]:
 
 
 @torch.no_grad()
-def refuse_jumps(system: Any, duration: float) -> None:
-    """InputError names the first force whose law jumps in time, in a motion that is differentiated by its duration: steps move
-    with the duration, jumps do not; the derivative of the steps would move both.
+def refuse_jumps(system: Any, duration: float, phases: Sequence[Phase]) -> None:
+    """InputError names the first law that jumps in time, in a motion that is differentiated by its duration: steps move with
+    the duration, jumps do not; the derivative of the steps would move both.
+
+    Laws are those of forces, of the system and its phases, and those of drives with their rates.
     """
-    for force in system.forces:
-        if isinstance(force, Controller):
-            times = held_times(force.control, duration) or _jumps_of_module(force, duration)
-        else:
-            times = _jumps_of_force(force, duration)
+    controllers = [x for x in system.forces if isinstance(x, Controller)]
+    of_laws = [
+        *((x.name, held_times(x.control, duration) or _jumps_of_module(x, duration)) for x in controllers),
+        *_jumps_of_laws(system, duration, phases),
+        *((x.name, _jumps_of_drive(x, duration)) for x in system.joints if isinstance(x, Drive)),
+    ]
+    for name, times in of_laws:
         if times:
             raise InputError(
                 "duration",
                 allowed="a law that does not jump, or a duration without a gradient",
                 state=f"jumps at {_shown(times)}",
-                noun=f"duration requires a gradient, and the law of {force.name!r}",
+                noun=f"duration requires a gradient, and the law of {name!r}",
             )
 
 
@@ -220,17 +230,21 @@ def _warn_of_module(force: Controller, duration: float) -> None:
         )
 
 
-def _warn_of_drive(drive: Drive, duration: float) -> None:
-    """Of a prescribed position or rate that jumps: a whole turn is none."""
+def _jumps_of_drive(drive: Drive, duration: float) -> list[float]:
+    """Times at which a prescribed position or rate jumps; a whole turn is not a jump."""
     law = drive.law.law
     if isinstance(law, (ConstantSpeed, SmoothStep, Sine)):
-        return
+        return []
 
     def of_time(t: Tensor) -> Tensor:
         x, rate = jvp(law, (t,), (torch.ones_like(t),))[:2]
         return torch.stack([x, rate] if drive.travels else [x.cos(), x.sin(), rate])
 
-    times = _jumps((drive.name, "law"), drive, lambda: [of_time], duration)
+    return _jumps((drive.name, "law"), drive, lambda: [of_time], duration)
+
+
+def _warn_of_drive(drive: Drive, duration: float) -> None:
+    times = _jumps_of_drive(drive, duration)
     if times:
         warn(
             f"the law of the drive {drive.name!r}, or its rate, jumps at {_shown(times)}. This is an impact, so the forces "

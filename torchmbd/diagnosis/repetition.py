@@ -40,6 +40,15 @@ FINER = 2.3
 _LEAST_RTOL = 1e-13  # rounding is above it
 
 
+def finer_count(steps: int, multiple: int, factor: int = 2) -> int:
+    """Return about `factor` (2 or 4) times as many steps, which share no factor with `steps` but for `multiple`."""
+    parts = -(-steps // multiple)
+    finer = math.ceil(FINER * parts) if factor == 2 else factor * parts + 1
+    while math.gcd(finer, parts) > 1:
+        finer += 1
+    return multiple * finer
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Repetition:
     """How to make one motion again.
@@ -97,11 +106,7 @@ class Repetition:
             share = _TIGHTER ** (factor // 2)
             rtol, atol = max(_LEAST_RTOL, self.integrator.rtol * share), self.integrator.atol * share
             return self._again(self.designs, steps=factor * self.steps, rtol=rtol, atol=atol)
-        parts = -(-self.steps // self.multiple)
-        finer = math.ceil(FINER * parts) if factor == 2 else factor * parts + 1
-        while math.gcd(finer, parts) > 1:
-            finer += 1
-        return self._again(self.designs, steps=self.multiple * finer)
+        return self._again(self.designs, steps=finer_count(self.steps, self.multiple, factor))
 
     def coarser(self) -> Trajectory | None:
         """The motion with half as many equal steps, values only, without its warnings; None where there is none."""

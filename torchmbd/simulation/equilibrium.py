@@ -107,10 +107,18 @@ class Equilibrium(Trajectory):
             self._known_eigenvalues[key] = self.eigenvalues(kind).T
         return self._known_eigenvalues[key]
 
-    def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
-        """Eigenvalues [k, lanes] at the last time of `kind` "natural" [rad/s] or "poles" [1/s], numbers `modes` from 0."""
-        h = self.signals.history  # pyright: ignore[reportAttributeAccessIssue]
-        arguments = self.dynamics, h.q[-1], self.t[-1], self.rotation, kind, modes, symmetric
+    def eigenvalues(
+        self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False, lanes: Sequence[int] | None = None
+    ) -> Tensor:
+        """Eigenvalues [k, lanes] at the last time of `kind` "natural" [rad/s] or "poles" [1/s].
+
+        modes   their numbers from 0; None: all that each of the lanes has
+        lanes   of the equilibrium; None: all
+        """
+        dynamics, q = self.dynamics, self.signals.history.q[-1]  # pyright: ignore[reportAttributeAccessIssue]
+        if lanes is not None and list(lanes) != list(range(self.lanes)):
+            dynamics, q = dynamics.select_lanes(list(lanes)), q[..., list(lanes)]
+        arguments = dynamics, q, self.t[-1], self.rotation, kind, modes, symmetric
         return of_equilibrium("eigenvalues")(*arguments)
 
     @property

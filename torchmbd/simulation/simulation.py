@@ -239,7 +239,7 @@ class Simulation(Summary):
             check_phase_times(phases, gradients, integrator)
             check_order(phases, seconds)
             if by_duration:
-                refuse_jumps(system, seconds)
+                refuse_jumps(system, seconds, phases)
             if diagnose:
                 warn_of_model(system, seconds, steps, integrator, phases)
             by_times = by_duration or any(phase.time is not None for phase in phases)

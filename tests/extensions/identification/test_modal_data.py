@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 import torchmbd as mbd
 from tests.extensions.identification import pendulum
 from tests.refused import ANY, refused
+from torchmbd.extensions.identification.measurement import Prediction
+from torchmbd.extensions.identification.run import Run
 
 TRUTH = (9e3, 4e3, 5.0, 4.0)
 
@@ -134,6 +137,43 @@ def test_partners_are_decided_where_the_search_begins():
     )
     assert stiff.notes[0].startswith("measured mode 1 (20 Hz) is mode 1 of the model")
     assert "MAC 1.00" in stiff.notes[0]
+
+
+SENSORS = [mbd.Position("arm", axis, node=node) for node in (2, 4, 7, 9, 14) for axis in "xyz"]
+PLIES = "arm.laminate.angles"
+
+
+@pytest.mark.parametrize(
+    ("modes", "designs"),
+    [(6, [[0.7, -0.6], [0.7, -0.3], [0.3, 0.9]]), (4, [[0.0, 0.0], [0.7, -0.3], [0.0, 0.0], [0.72, -0.33]])],
+    ids=["as many modes in each", "more modes in some"],
+)
+def test_a_design_of_a_batch_has_the_modes_that_it_has_alone(modes, designs):
+    """Pairs by its own shapes, frequencies and their gradients, also of modes that other designs do not have."""
+    system, designs = mbd.examples.arm(modes=modes), torch.tensor(designs, dtype=torch.float64)
+    shapes = np.random.default_rng(0).normal(size=(len(SENSORS), 4))
+    data = mbd.ModalData([1.0, 2.0, 3.0, 4.0], shapes=shapes, sensors=SENSORS)
+    simulation = mbd.Simulation(system, 0.01, steps=2)
+
+    def predicted(some: torch.Tensor) -> Prediction:
+        variables = some.clone().requires_grad_()
+        return data.predict(Run(system, 0.01, {PLIES: variables}, {}, simulation, len(some), True), {})
+
+    batch, alone = predicted(designs), [predicted(design[None]) for design in designs]
+    torch.testing.assert_close(batch.value, torch.cat([x.value for x in alone]), rtol=1e-9, atol=0.0)
+    gradients = torch.cat([x.by_design for x in alone])
+    torch.testing.assert_close(batch.by_design, gradients, rtol=1e-6, atol=1e-6 * float(gradients.abs().max()))
+
+
+@pytest.mark.thorough
+def test_starts_may_retain_different_numbers_of_modes():
+    system = mbd.examples.arm(modes=4)
+    truth = mbd.equilibrium(system, designs={PLIES: torch.tensor([[0.7, -0.3]], dtype=torch.float64)})
+    f = [x for x in truth.frequencies[0].tolist() if x > 1e-3]
+    data = mbd.ModalData(f[:4])
+    starts = np.array([[0.72, -0.33], [0.0, 0.0]])
+    fit = mbd.identify(mbd.Experiment(system, data), [PLIES], start={PLIES: [0.7, -0.3]}, starts=starts)
+    assert fit.status == "converged"
 
 
 @pytest.mark.thorough

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.space import DesignSpace
+from torchmbd.diagnosis.repetition import finer_count
 from torchmbd.errors import InputError, SimulationFailure, nearest
 from torchmbd.extensions.identification.experiment import Experiment
 from torchmbd.extensions.identification.measurement import Block, Measurement
@@ -102,6 +103,7 @@ class FitProblem:
         self.deviations = np.concatenate([_first_deviation(x.block) for x in self.rows])
         self.measured = np.concatenate([x.block.measured for x in self.rows])
         self.steps: dict[str, int | None] = {name: x.steps for name, x in experiments.items()}
+        self.multiples: dict[str, int] = {}  # of which steps of an experiment are one, known from its motions
         count = self.data + len(self.prior_rows)
         searched = [name for name, low, high in zip(self.names, self.lower, self.upper, strict=True) if low < high]
         if count < len(searched):
@@ -224,15 +226,18 @@ class FitProblem:
             steps = self.steps[name]
             if steps is None or not experiment.has_steps(self.limits(self._names[name])):
                 continue
+            if name not in self.multiples:
+                self._of_experiment(name, x[None], False)
+            more = finer_count(steps, self.multiples.get(name, 1))
             try:
-                [finer] = self.with_steps({name: 2 * steps})._of_experiment(name, x[None], False)
+                [finer] = self.with_steps({name: more})._of_experiment(name, x[None], False)
                 reason = "" if finer.ok else finer.status
             except (InputError, SimulationFailure) as error:
                 finer, reason = None, str(error)
             if finer is None or reason:
-                reasons[name] = f"with {2 * steps} steps: {reason}"
+                reasons[name] = f"with {more} steps: {reason}"
             else:
-                errors[name] = (finer.values - shown[self.rows_of(name)]) * 4.0 / 3.0
+                errors[name] = (finer.values - shown[self.rows_of(name)]) / (1.0 - (steps / more) ** 2)
         return errors, reasons
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Residuals]:
@@ -274,8 +279,10 @@ class FitProblem:
                 slopes.append(
                     self._by_entries(name, run, prediction.by_design, prediction.by_unknown, values[-1].shape)
                 )
-        if self.steps[name] is None and "motion" in vars(run):
-            self.steps[name] = run.motion.stats.get("steps")
+        if "motion" in vars(run):
+            self.multiples[name] = run.motion.require_repetition().multiple
+            if self.steps[name] is None:
+                self.steps[name] = run.motion.stats.get("steps")
         value = np.concatenate(values, 1)
         slope = np.concatenate(slopes, 1) if gradients else None
         where = f" (experiment {name!r})" if len(self.experiments) > 1 else ""

@@ -193,13 +193,22 @@ class ModalData(Measurement):
         modes = torch.tensor([x.modes for x in pairings]).T  # [measured, lanes]
         known = torch.from_numpy(np.flatnonzero(np.isfinite(self.damping)))
 
-        def rows(rest: Any) -> Tensor:
-            f = rest.eigenvalues(NATURAL).gather(0, modes) / (2.0 * math.pi)
+        def some(rest: Any, lanes: list[int]) -> Tensor:
+            w, mine = rest.eigenvalues(NATURAL, lanes=lanes), modes[:, lanes]
+            f = w.gather(0, mine) / (2.0 * math.pi)
             if not len(known):
                 return f.T
-            s = rest.eigenvalues(POLES)
-            s = s.gather(0, _poles_of(s.detach(), rest.eigenvalues(NATURAL).detach(), modes[known]))
+            s = rest.eigenvalues(POLES, lanes=lanes)
+            s = s.gather(0, _poles_of(s.detach(), w.detach(), mine[known]))
             return torch.cat([f, -s.real / s.abs()]).T
+
+        groups: dict[int, list[int]] = {}  # designs may retain different numbers of modes
+        for lane, vibrations in enumerate(rest.vibrations):
+            groups.setdefault(len(vibrations.frequencies), []).append(lane)
+        places = torch.tensor([lane for lanes in groups.values() for lane in lanes]).argsort()
+
+        def rows(rest: Any) -> Tensor:
+            return torch.cat([some(rest, lanes) for lanes in groups.values()])[places]
 
         y = differentiate(rows, rest)
         value, gradient = y.value.expand(run.lanes, -1), y.gradient
@@ -256,9 +265,7 @@ class ModalData(Measurement):
         t = torch.arange(len(modes), dtype=torch.float64)
         with torch.no_grad():
             alone = rest.dynamics.values().select_lanes([lane])
-            still = replace(
-                rest, t=t, signals=TensorSignals(states), dynamics=alone, known=None, variables={}, rotation=None
-            )
+            still = replace(rest.one_lane(lane, t, TensorSignals(states)), dynamics=alone, rotation=None)
             psi = torch.stack([sensor.values(still)[0] for sensor in self.sensors]).numpy()
         assert self.shapes is not None
         sizes = (self.shapes**2).sum(0)[:, None] * np.maximum((psi**2).sum(0), np.finfo(float).tiny)

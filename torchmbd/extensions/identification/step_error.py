@@ -1,8 +1,9 @@
 """How far the steps of motions move the unknowns of a fit, beside their deviations.
 
-    e = (y_half - y) 4/3 / deviation        error of the model's numbers by its steps, from a motion with half the step
-    shift = -(J'J)^+ J' e                   unknowns of a model without this error, minus those of the fit        [n]
+    e = (y_finer - y) / (1 - 1/r^2) / deviation     error of the model's numbers by its steps, r = 2.3 times as many
+    shift = -(J'J)^+ J' e                           unknowns of a model without this error, minus those of the fit        [n]
 
+The two numbers of steps share no factor, as a load whose period divides a step would show one value in both motions.
 An error below the noise of every number can move an unknown by many of its deviations: the noise of many numbers averages out,
 the error of the model does not. Steps that an experiment leaves open are made finer until all unknowns move by less than SHARE
 of their deviations; steps that are given are judged.
