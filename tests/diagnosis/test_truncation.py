@@ -111,6 +111,24 @@ def test_the_first_motion_warns_and_says_what_is_better():
         mbd.simulate(system, 0.01, steps=2, gradients="none")
 
 
+def test_a_system_warns_whatever_its_bodies_were_part_of_before():
+    """And once, also with another start."""
+    body = beam(modes=4)
+    fixed = mbd.Fixed(GROUND.at(), body.at("start"))
+    held = mbd.Fixed(GROUND.at(1.0, 0.0, 0.0), body.at("end"))
+
+    def texts(joints: list[mbd.Fixed]) -> list[str]:
+        system = mbd.System([body], joints)
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            mbd.simulate(system, 1e-4, steps=2, gradients="none")
+            mbd.equilibrium(system)
+        return [str(x.message) for x in seen if "retained modes" in str(x.message)]
+
+    assert texts([fixed]) == []
+    assert len(texts([fixed, held])) == 1
+
+
 @pytest.mark.thorough
 def test_a_static_motion_warns():
     with warned("body 'beam' at 'start'", "9.09 Hz", "14.2 Hz"):

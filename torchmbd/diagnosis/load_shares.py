@@ -14,12 +14,13 @@ All loads are means over a quarter of the period of om_1, the lowest frequency o
 body does not yield to faster ones: after a latch the fastest modes shake at om v, which grows with the number of modes and with
 that of the steps that resolve them, and leaves no lasting load.
 
-The multipliers in p take longer than a motion. So the share is computed where the size of all loads,
+The multipliers in p take longer than a motion. So the share is computed for a new kind of loads, and otherwise follows from
+their size, as it is proportional to loads of one kind:
 
     size = (sum m |r'' - g| + sum |p| of force elements) / (m om_1^2 length),   om_1, length: of the body
 
-is the largest that the body has had, and otherwise follows from the last one, as it is proportional to the loads. A change of
-temperature counts by its forces on all nodes.
+A kind has the loads of one system, and the largest and the least value of each load, as a share of all. A change of temperature
+counts by its forces on all nodes.
 Bodies whose frames have more than `_MOST_NODES` nodes are not looked at, nor are those of rods, springs and solids.
 Checked in tests/diagnosis/test_elastic_limits.py, tests/validation/test_flexible_benchmarks.py.
 """
@@ -28,8 +29,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -50,10 +51,24 @@ from torchmbd.results.trajectory import Trajectory
 _LOADED = 0.05  # share of loads: errors of five percent
 _SMALL = 0.005  # size of loads below which no share is large: a force at the end of a rod has a share of 3 to 6 sizes
 _GROWN = 1.1  # factor of the size beyond which a share is computed anew
+_LIKE = 0.1  # share of the size by which loads of one kind may differ
+_KINDS = 8  # of loads that are kept of a body: a search may alternate between load cases
 _STATES = 8192  # times x lanes whose loads are computed at once: some kilobytes each
 _MOST_NODES = 60  # of frames: there are six unit loads for each
-#: Body -> size and share of its largest loads.
-_LOOKED_AT: WeakKeyDictionary[Any, tuple[float, float]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Loads on a body: their size, their largest and least values (`_sizes`), and their share."""
+
+    size: float
+    peaks: Tensor
+    share: float
+
+    def has(self, size: float, peaks: Tensor) -> bool:
+        """True if loads are of this kind, and not much larger."""
+        other = float((peaks - size / self.size * self.peaks).abs().max())
+        return size <= _GROWN * self.size and other <= max(_SMALL, _LIKE * size)
 
 
 def load_shares(motion: Trajectory) -> dict[str, float]:
@@ -71,19 +86,24 @@ def load_shares(motion: Trajectory) -> dict[str, float]:
     if not bodies:
         return shares
     intervals = [_intervals(motion, name) for name in T.names[: T.flexible]]
-    sizes = _sizes(motion, intervals)
-    larger = [
-        (k, body)
-        for k, body in bodies
-        if sizes[k] > max(_SMALL, _GROWN * _LOOKED_AT.get(body, (0.0, 0.0))[0])
-        and len(frame_nodes(T, k)) <= _MOST_NODES
-    ]
-    for (k, body), share in zip(larger, _largest_shares(motion, larger, intervals), strict=True):
-        _LOOKED_AT[body] = sizes[k], share
+    loads = _sizes(motion, intervals)
+    known = _known_kinds(motion.system)
+    unknown = []
     for k, body in bodies:
-        size, share = _LOOKED_AT.get(body, (0.0, 0.0))
-        shares[body.name] = share * sizes[k] / size if size else 0.0
+        size, _ = loads[k]
+        kind = next((x for x in known.get(body.name, []) if x.has(*loads[k])), None)
+        shares[body.name] = 0.0 if kind is None else kind.share * size / kind.size
+        if kind is None and size > _SMALL and len(frame_nodes(T, k)) <= _MOST_NODES:
+            unknown.append((k, body))
+    for (k, body), share in zip(unknown, _largest_shares(motion, unknown, intervals), strict=True):
+        shares[body.name] = share
+        known[body.name] = [_Kind(*loads[k], share), *known.get(body.name, [])][:_KINDS]
     return shares
+
+
+def _known_kinds(system: Any) -> dict[str, list[_Kind]]:
+    """Name of a body -> kinds of its loads in the motions of a system."""
+    return system.diagnosed.setdefault("loads", {})
 
 
 def warn_of_loads(motion: Trajectory) -> None:
@@ -101,7 +121,7 @@ def warn_of_loads(motion: Trajectory) -> None:
 
 def notes_of_loads(system: Any) -> list[str]:
     """A sentence on each body of a system whose loads were large in its motions of this process."""
-    shares = {body.name: _LOOKED_AT[body][1] for body in system.bodies if body in _LOOKED_AT}
+    shares = {name: max(kind.share for kind in kinds) for name, kinds in _known_kinds(system).items()}
     return [
         f"linear elastic displacements leave out tension and pressure of the loads of body {name!r}, up to {share:.1g} of its "
         "stiffness in these motions; with stiffening=True they are part of it"
@@ -129,8 +149,9 @@ def _means(x: Tensor, intervals: int, axis: int) -> Tensor:
     return ((total[intervals:] - total[:-intervals]) / intervals).movedim(0, axis)
 
 
-def _sizes(motion: Trajectory, intervals: Sequence[int]) -> list[float]:
-    """Size of all loads by that of each flexible body (module header), the largest of all lanes and times.
+def _sizes(motion: Trajectory, intervals: Sequence[int]) -> list[tuple[float, Tensor]]:
+    """Size of all loads by that of each flexible body (module header), and the largest and the least value of each [6 loads] in
+    the same unit, positive where they are; of all lanes and times.
 
     intervals   over which the loads on each body are averaged
     """
@@ -138,13 +159,14 @@ def _sizes(motion: Trajectory, intervals: Sequence[int]) -> list[float]:
     mass = value(data["mass"])[:, 0]
     weights = [mass[..., None], *([_newtons(T)[:, None, None]] if T.actions else [])]
     loads = list(zip(_by_parts(motion, _loads_of_all, -1), weights, strict=True))
-    largest = _largest_loads(loads, intervals, _known(motion))
+    largest, peaks = _largest_loads(loads, intervals, _known(motion))
     sizes = []
     for k, name in enumerate(T.names[: T.flexible]):
         lowest = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).reshape(-1)
         second = value(data["P0"])[:, :, k, 0].diagonal().sum(-1)  # mass times a square of its length
-        size = largest[k] / (lowest * (mass[k] * second).sqrt())
-        sizes.append(float(size.nan_to_num(0.0, 0.0, 0.0).max()))
+        unit = lowest * (mass[k] * second).sqrt()
+        size, each = ((x / unit).nan_to_num(0.0, 0.0, 0.0).amax(-1) for x in (largest[k], peaks[k]))
+        sizes.append((float(size), each))
     return sizes
 
 
@@ -166,17 +188,25 @@ def _loads_of_all(motion: Trajectory) -> list[Tensor]:
     return vectors
 
 
-def _largest_loads(loads: Sequence[tuple[Tensor, Tensor]], intervals: Sequence[int], known: Tensor) -> Tensor:
-    """The largest size of all loads by the means of each flexible body [flexible, lanes] [N]; 0 in lanes that failed.
+def _largest_loads(
+    loads: Sequence[tuple[Tensor, Tensor]], intervals: Sequence[int], known: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The largest size of all loads by the means of each flexible body [flexible, lanes] [N], and the largest value of each
+    load and of its negative [flexible, 6 loads, lanes]; 0 in lanes that failed.
 
     loads   vectors [3, ., lanes, times] and their weights
     known   as of `_known`
     """
-    largest = {}
+    largest, peaks = {}, {}
     for n in set(intervals):
-        total = torch.stack([(weight * _lengths(_means(x, n, -1))).sum(0) for x, weight in loads]).sum(0)
+        means = [(_means(x, n, -1), weight) for x, weight in loads]
+        total = torch.stack([(weight * _lengths(x)).sum(0) for x, weight in means]).sum(0)
         largest[n] = (total.nan_to_num(0.0, 0.0, 0.0) * known).amax(1)
-    return torch.stack([largest[n] for n in intervals])
+        signed = torch.cat(
+            [(y * weight[..., 0]).flatten(0, 1) for x, weight in means for y in (x.amax(-1), -x.amin(-1))]
+        )
+        peaks[n] = signed.clamp_min(0.0).nan_to_num(0.0, 0.0, 0.0) * known[:, 0]
+    return torch.stack([largest[n] for n in intervals]), torch.stack([peaks[n] for n in intervals])
 
 
 def _newtons(T: Any) -> Tensor:

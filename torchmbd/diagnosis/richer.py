@@ -38,6 +38,7 @@ def finer_mesh_system(system: Any) -> tuple[Any, list[str]]:
 def _changed(system: Any, change: Callable[[Any], bool]) -> tuple[Any, list[str]]:
     other = copy.deepcopy(system)
     other.truncation = None  # of the modes that are in question
+    other.diagnosed.clear()
     names = [name for name in other.topology.names[: other.topology.flexible] if change(other.body(name))]
     other.load_state_dict(other.state_dict())  # joins the bodies again
     return other, names

@@ -21,7 +21,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -39,8 +38,6 @@ from torchmbd.multibody.system import System
 
 _NEAR = 2.0  # times the first elastic frequency: the highest frequency of a vibration that is compared
 LARGEST = 300  # most rates of a system whose vibrations are compared, as the methods are dense
-#: Body -> its changes (zone, kind) that were checked; not in a System, whose attributes are hashed (math/digest.py).
-_CHECKED: WeakKeyDictionary[Any, set[tuple]] = WeakKeyDictionary()
 _REGULAR = 1e-12  # share of the largest flexibility in the joints that is added, so that redundant rows are determined
 _SHOWN = 4  # nodes in a message
 _ELASTIC = 0.2  # least share of the energy of a vibration in the modal coordinates that makes it elastic
@@ -129,16 +126,10 @@ def static_truncation(system: System) -> StaticTruncation | None:
 
 
 def warn_static_truncation(system: System) -> None:
-    """Warn where the share exceeds `system.truncation`; each body is checked once, and once more under further changes."""
-    T = system.topology
-    changes: dict[Any, set[tuple]] = {system.body(name): set() for name in T.names[: T.flexible]}
-    for x in T.attached:
-        if isinstance(x, ExpansionVector):
-            changes[x.body].add((x.zone, x.change))
-    if system.truncation is None or all(body in _CHECKED and x <= _CHECKED[body] for body, x in changes.items()):
+    """Warn where the share exceeds `system.truncation`; each system is checked once: its joints and forces decide, too."""
+    if system.truncation is None or "truncation" in system.diagnosed:
         return
-    for body, x in changes.items():
-        _CHECKED.setdefault(body, set()).update(x)
+    system.diagnosed["truncation"] = True
     try:
         truncation = outside_transforms(lambda: static_truncation(system))
     except (MbdError, torch.linalg.LinAlgError):  # pyright: ignore[reportPrivateImportUsage]

@@ -76,7 +76,7 @@ class System(nn.Module):
     """
 
     gravity: Tensor | None
-    #: Attributes that follow from bodies, joints, forces and start (math/digest.py); the last two fill while they are used.
+    #: Attributes that follow from bodies, joints, forces and start (math/digest.py); the last three fill while they are used.
     derived_state: ClassVar = (
         "topology",
         "_saddle",
@@ -85,6 +85,7 @@ class System(nn.Module):
         "_topology_tensors",
         "_of_modes",
         "segments_of_phases",
+        "diagnosed",
     )
 
     def __init__(
@@ -100,6 +101,9 @@ class System(nn.Module):
         super().__init__()
         self._start = Start()
         self._mode_counts: tuple[int, ...] | None = None  # of each flexible body; None: those of the first design
+        self.diagnosed: dict[
+            str, Any
+        ] = {}  # what diagnosis/ knows of it, also of copies with the same joints and forces
         bodies, joints, forces, free = (
             list_of(name, items, kinds, allowed)
             for name, items, kinds, allowed in (
@@ -215,6 +219,7 @@ class System(nn.Module):
     def with_joints(self, joints: Sequence[Joint]) -> Self:
         """The same bodies, forces and parameters under other joints; bodies and parameters are shared."""
         other = copy.copy(self)
+        other.diagnosed = {}
         other._join(list_of("joints", joints, Joint, "joints, such as mbd.Revolute(...)"))
         return other
 
