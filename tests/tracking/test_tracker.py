@@ -132,6 +132,32 @@ def test_what_the_store_refuses_is_named_and_holds_nothing_up(uri):
     assert any(run.data.metrics == {"objective": 2.0} for run in result)
 
 
+@pytest.mark.parametrize(
+    ("params", "tags", "metrics"),
+    [
+        ({"unit": "m"}, {}, {}),  # of the process before it was mm
+        ({}, {}, {"constraint/" + "long " * 60: 0.5}),
+        ({"no|key": "1"}, {}, {"no|metric": 0.5, "design/50% ply": 1.0}),
+    ],
+    ids=["param", "long metric", "several"],
+)
+def test_what_the_store_refuses_takes_nothing_else_with_it(uri, params, tags, metrics):
+    first = MlflowTracker("refused", uri, "k")
+    first.begin("study", "s", params={"unit": "mm"})
+    first.close()
+    tracker = MlflowTracker("refused", uri, "k")
+    tracker.begin("study", "s", params={"size": "1"} | params, tags={"kept": "yes"} | tags)
+    for step in range(7):
+        tracker.metrics("study", {"objective": 1.0 / (step + 1)} | (metrics if step == 3 else {}), step)
+    tracker.end("study", "FINISHED")
+    with pytest.raises(TrackingError) as caught:
+        tracker.close()
+    assert all(word[:15] in str(caught.value) for word in [*params, *metrics])
+    [run] = runs(uri)
+    assert (run.data.params, run.data.tags["kept"]) == ({"unit": "mm", "size": "1"}, "yes")
+    assert points(uri, run.info.run_id) == [(step, 1.0 / (step + 1)) for step in range(7)]
+
+
 @pytest.mark.thorough
 def test_a_store_that_cannot_be_opened_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("TORCHMBD_PATIENCE", "0.2")

@@ -31,6 +31,7 @@ from torchmbd.tracking.uri import StoreURI
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
+    from mlflow.exceptions import MlflowException
 
 JOURNAL, _STATE = "journal.jsonl", "state.json"
 _INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share of a core that writing takes at most
@@ -38,7 +39,8 @@ _INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share o
 _RETRY, _LAST_RETRY = 5.0, 0.5
 _METRICS, _WORDS = 800, 100  # in one log_batch: MLflow allows 1000 of all kinds, 100 parameters, 100 tags
 # Other errors are no answer of the store.
-_REFUSALS = ("INVALID_PARAMETER_VALUE", "RESOURCE_DOES_NOT_EXIST", "BAD_REQUEST")
+_REFUSALS_OF_ONE = ("INVALID_PARAMETER_VALUE", "BAD_REQUEST")  # other parts of a batch may be accepted
+_REFUSALS = (*_REFUSALS_OF_ONE, "RESOURCE_DOES_NOT_EXIST")
 
 Part = dict[str, Any]  # a line of the journal
 
@@ -161,7 +163,7 @@ class Writer:
         params = [Param(*item) for part in parts for item in part.get("params", {}).items()]
         tags = [RunTag(*item) for item in {k: x for part in parts for k, x in part.get("tags", {}).items()}.items()]
         while metrics or params or tags:
-            self._attempt(run, partial(client.log_batch, id, metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]))
+            self._log(run, partial(client.log_batch, id), [metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]])
             del metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]
         for part in parts:
             if "file" in part:
@@ -216,6 +218,24 @@ class Writer:
             self._known[run, key] = {(stored.step, stored.value) for stored in history}
         return (step, value) in self._known[run, key]
 
+    def _log(self, run: str, log_batch: Callable[[list, list, list], object], kinds: list[list[Any]]) -> None:
+        """Log metrics, params and tags; if the store refuses them, each kind alone, then halves, as one refused entry holds all."""
+        from mlflow.exceptions import MlflowException
+
+        try:
+            log_batch(*kinds)
+        except MlflowException as error:
+            filled = [k for k, items in enumerate(kinds) if items]
+            parts = [[items if k == kind else [] for k, items in enumerate(kinds)] for kind in filled]
+            if len(filled) == 1:
+                middle = len(kinds[filled[0]]) // 2
+                parts = [[items[:middle] for items in kinds], [items[middle:] for items in kinds]] if middle else []
+            if not parts or error.error_code not in _REFUSALS_OF_ONE:
+                self._refuse(run, error)
+                return
+            for part in parts:
+                self._log(run, log_batch, part)
+
     def _attempt(self, run: str, action: Callable[[], object]) -> None:
         """Call an action of the client; keep the message if the store answers and refuses it."""
         from mlflow.exceptions import MlflowException
@@ -225,9 +245,13 @@ class Writer:
         except FileNotFoundError as error:
             self._refused[f"{run}: {error.filename}: {error.strerror}"] = None
         except MlflowException as error:
-            if error.error_code not in _REFUSALS:
-                raise
-            self._refused[f"{run}: {self.uri.hide(first_line(error))}"] = None
+            self._refuse(run, error)
+
+    def _refuse(self, run: str, error: MlflowException) -> None:
+        """Keep the message of a refusal; raise any other error."""
+        if error.error_code not in _REFUSALS:
+            raise error
+        self._refused[f"{run}: {self.uri.hide(first_line(error))}"] = None
 
 
 def serve() -> None:

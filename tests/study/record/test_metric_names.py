@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torchmbd as mbd
-from torchmbd.study.record.metric_names import constraint_names, is_design, metric_heading, without_group
+from torchmbd.study.record.metric_names import constraint_names, is_design, legal_key, metric_heading, without_group
 
 ENERGY = mbd.StrainEnergy("arm")
 
@@ -29,6 +29,15 @@ def test_constraints_have_the_names_of_their_responses():
 def test_rows_of_a_min_max_problem_come_first():
     asked = problem(mbd.Mass() <= 1.0, minimize=mbd.AtPeaks(ENERGY, count=2))
     assert constraint_names(asked, 3) == ["constraint/peak 1", "constraint/peak 2", "constraint/mass of all bodies"]
+
+
+def test_long_names_differ_and_keep_their_ends():
+    peaks = [mbd.Max(mbd.Displacement("arm", axis, node="right")) for axis in "xyz" * 4]
+    sums = [sum(peaks[1:], start=peaks[0]), sum(peaks[2:], start=peaks[0]) + peaks[1]]
+    names = constraint_names(problem(*(x <= 1.0 for x in sums)), 2)
+    assert len({*names, *(legal_key(f"{'x' * 300}{end}_kg") for end in "ab")}) == 4
+    assert all(len(name) <= 240 for name in names)
+    assert legal_key(f"{'x' * 300}_kg").endswith("x_kg")
 
 
 def test_what_is_not_known_is_numbered():

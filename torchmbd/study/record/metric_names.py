@@ -12,6 +12,7 @@ Checked in tests/study/record/test_metric_names.py.
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -22,6 +23,7 @@ REDUCTION, INCREASE = "reduction_percent", "increase_percent"
 ITERATIONS, ANALYSES = f"{SEARCH}iterations", f"{SEARCH}analyses"
 EVALUATIONS, FAILED = f"{SEARCH}evaluations", f"{SEARCH}failed_evaluations"
 START, BEST, ERROR, MARGIN = "start/", "best/", "error/", "margin/"
+_LONGEST, _BEGIN, _END = 220, 120, 60  # characters of a key; MLflow allows 250, its group and a number included
 STARTS, CONVERGED = f"{SEARCH}starts", f"{SEARCH}converged_starts"
 
 
@@ -81,5 +83,11 @@ def unique(names: Sequence[str]) -> list[str]:
 
 
 def legal_key(key: str) -> str:
-    """Return a key with the characters that MLflow does not allow replaced: all but letters, digits, spaces and _-.:/"""
-    return "".join(c if c.isalnum() or c in "_-.:/ " else "_" for c in key)
+    """Return a key that MLflow allows: of letters, digits, spaces and _-.:/, others replaced, and not too long.
+
+    A number of the whole key stands for the middle of a long one: its end may be a unit.
+    """
+    allowed = "".join(c if c.isalnum() or c in "_-.:/ " else "_" for c in key)
+    if len(allowed) <= _LONGEST:
+        return allowed
+    return f"{allowed[:_BEGIN]}... {zlib.crc32(key.encode()):08x} ...{allowed[-_END:]}"
