@@ -419,6 +419,19 @@ def test_laws_of_phases_and_drives_that_jump_have_no_gradient_by_the_duration():
     assert motion.body("rotor").omega.requires_grad
 
 
+@pytest.mark.parametrize("frequency", [3.0, 25.0, 26.6, 50.0, 51.2, 333.0, 2000.0])
+def test_an_oscillation_does_not_jump_however_fast(frequency):
+    """Its samples lie in different periods; a jump beside it is found."""
+
+    def smooth(t: Tensor) -> Tensor:
+        return torch.stack([100.0 * (2.0 * torch.pi * frequency * t + phase).sin() for phase in (0.0, 0.7, 1.9)])
+
+    assert jump_times(smooth, 20.0) == []
+    slowly = lambda t: 30.0 * (2.0 * torch.pi * 0.2 * t).sin() + 100.0 * (t > 7.3)  # noqa: E731
+    [time] = jump_times(lambda t: torch.cat([smooth(t), slowly(t)[None]]), 20.0)
+    assert time == pytest.approx(7.3)
+
+
 def test_numbers_of_steps():
     assert steps_at([], 2.0) == 1
     assert steps_at([2.0 / 3.0, 4.0 / 3.0], 2.0) == 3

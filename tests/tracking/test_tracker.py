@@ -133,26 +133,26 @@ def test_what_the_store_refuses_is_named_and_holds_nothing_up(uri):
 
 
 @pytest.mark.parametrize(
-    ("params", "tags", "metrics"),
+    ("params", "metrics", "told"),
     [
-        ({"unit": "m"}, {}, {}),  # of the process before it was mm
-        ({}, {}, {"constraint/" + "long " * 60: 0.5}),
-        ({"no|key": "1"}, {}, {"no|metric": 0.5, "design/50% ply": 1.0}),
+        ({"unit": "m"}, {}, ["unit"]),  # of the process before it was mm
+        ({}, {"constraint/" + "long " * 60: 0.5}, ["250"]),
+        ({"no|key": "1"}, {"no|metric": 0.5, "design/50% ply": 1.0}, ["no|key", "no|metric", "50% ply"]),
     ],
     ids=["param", "long metric", "several"],
 )
-def test_what_the_store_refuses_takes_nothing_else_with_it(uri, params, tags, metrics):
+def test_what_the_store_refuses_takes_nothing_else_with_it(uri, params, metrics, told):
     first = MlflowTracker("refused", uri, "k")
     first.begin("study", "s", params={"unit": "mm"})
     first.close()
     tracker = MlflowTracker("refused", uri, "k")
-    tracker.begin("study", "s", params={"size": "1"} | params, tags={"kept": "yes"} | tags)
+    tracker.begin("study", "s", params={"size": "1"} | params, tags={"kept": "yes"})
     for step in range(7):
         tracker.metrics("study", {"objective": 1.0 / (step + 1)} | (metrics if step == 3 else {}), step)
     tracker.end("study", "FINISHED")
     with pytest.raises(TrackingError) as caught:
         tracker.close()
-    assert all(word[:15] in str(caught.value) for word in [*params, *metrics])
+    assert all(word in str(caught.value) for word in told)
     [run] = runs(uri)
     assert (run.data.params, run.data.tags["kept"]) == ({"unit": "mm", "size": "1"}, "yes")
     assert points(uri, run.info.run_id) == [(step, 1.0 / (step + 1)) for step in range(7)]

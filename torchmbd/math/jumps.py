@@ -1,7 +1,8 @@
 """Where a function of time jumps, by samples of it.
 
 A difference of two samples that stays while its interval is halved again and again is a jump; what a slope explains is not
-part of it, as the differences beside it are taken off.
+part of it, as the differences beside it are taken off. A function that oscillates between the samples has larger differences
+within an interval; these fall with the interval at the last halvings, and those of a jump stay.
 Checked in tests/diagnosis/test_jumps.py.
 """
 
@@ -16,6 +17,7 @@ _SAME = 1e-9  # of the duration: times that are equal
 _SAMPLES = 512  # of a law: two jumps back within one interval are not seen
 _LEAST = 1e-3  # of the range of a law: a smaller jump is not seen
 _HALVINGS = 12  # of an interval, to 5e-7 of the duration: what is as steep there is a jump for any steps
+_LAST = 4  # halvings, in which a slope falls to a sixteenth
 _BISECTIONS = 40  # to the rounding of time
 
 
@@ -41,6 +43,7 @@ def _located(f: Callable[[Tensor], Tensor], duration: float, without: Sequence[f
     at, part = (x[~torch.isin(at, known)] for x in (at, part))
     jump, begin, end = bend[at, part], times[at], times[at + 1]
     before, after = y[at, part], y[at + 1, part]
+    least = 0.5 * jump.abs()
     for k in range(_BISECTIONS):
         if not len(part):
             return []
@@ -49,9 +52,13 @@ def _located(f: Callable[[Tensor], Tensor], duration: float, without: Sequence[f
         first = (value - before) * jump.sign() > (after - value) * jump.sign()
         begin, end = torch.where(first, begin, middle), torch.where(first, middle, end)
         before, after = torch.where(first, before, value), torch.where(first, value, after)
+        change = (after - before) * jump.sign()
         if k < _HALVINGS:
-            stays = (after - before) * jump.sign() > 0.5 * jump.abs()
+            stays = change > least
+            change, least = change[stays], least[stays]
             part, jump, begin, end, before, after = (x[stays] for x in (part, jump, begin, end, before, after))
+        if k == _HALVINGS - 1 - _LAST:
+            least = least.maximum(0.5 * change)
     return end.tolist()
 
 

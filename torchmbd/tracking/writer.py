@@ -219,7 +219,7 @@ class Writer:
         return (step, value) in self._known[run, key]
 
     def _log(self, run: str, log_batch: Callable[[list, list, list], object], kinds: list[list[Any]]) -> None:
-        """Log metrics, params and tags; if the store refuses them, each kind alone, then halves, as one refused entry holds all."""
+        """Log metrics, params and tags; if the store refuses them, each kind alone, then halves: one entry can hold up all."""
         from mlflow.exceptions import MlflowException
 
         try:
