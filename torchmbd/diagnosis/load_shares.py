@@ -96,8 +96,8 @@ def load_shares(motion: Trajectory) -> dict[str, float]:
         if kind is None and size > _SMALL and len(frame_nodes(T, k)) <= _MOST_NODES:
             unknown.append((k, body))
     for (k, body), share in zip(unknown, _largest_shares(motion, unknown, intervals), strict=True):
-        shares[body.name] = share
-        known[body.name] = [_Kind(*loads[k], share), *known.get(body.name, [])][:_KINDS]
+        shares[body.name], (size, peaks) = share, loads[k]
+        known[body.name] = [_Kind(size, peaks, share), *known.get(body.name, [])][:_KINDS]
     return shares
 
 
