@@ -152,7 +152,7 @@ def test_a_design_of_a_batch_has_the_modes_that_it_has_alone(modes, designs):
     """Pairs by its own shapes, frequencies and their gradients, also of modes that other designs do not have."""
     system, designs = mbd.examples.arm(modes=modes), torch.tensor(designs, dtype=torch.float64)
     shapes = np.random.default_rng(0).normal(size=(len(SENSORS), 4))
-    data = mbd.ModalData([1.0, 2.0, 3.0, 4.0], shapes=shapes, sensors=SENSORS)
+    data = mbd.identification.ModalData([1.0, 2.0, 3.0, 4.0], shapes=shapes, sensors=SENSORS)
     simulation = mbd.Simulation(system, 0.01, steps=2)
 
     def predicted(some: torch.Tensor) -> Prediction:
@@ -170,9 +170,11 @@ def test_starts_may_retain_different_numbers_of_modes():
     system = mbd.examples.arm(modes=4)
     truth = mbd.equilibrium(system, designs={PLIES: torch.tensor([[0.7, -0.3]], dtype=torch.float64)})
     f = [x for x in truth.frequencies[0].tolist() if x > 1e-3]
-    data = mbd.ModalData(f[:4])
+    data = mbd.identification.ModalData(f[:4])
     starts = np.array([[0.72, -0.33], [0.0, 0.0]])
-    fit = mbd.identify(mbd.Experiment(system, data), [PLIES], start={PLIES: [0.7, -0.3]}, starts=starts)
+    fit = mbd.identification.identify(
+        mbd.identification.Experiment(system, data), [PLIES], start={PLIES: [0.7, -0.3]}, starts=starts
+    )
     assert fit.status == "converged"
 
 
