@@ -13,7 +13,15 @@ import torch
 import torchmbd as mbd
 from tests.refused import refused
 from torchmbd.design.problem_parts import masses_and_frequencies
-from torchmbd.design.verification import _constrained, _faults_of_constraints, _holds, advice, verification
+from torchmbd.design.verification import (
+    _constrained,
+    _faults_of_constraints,
+    _faults_of_gain,
+    _holds,
+    _Response,
+    advice,
+    verification,
+)
 from torchmbd.design.words import words
 from torchmbd.optimization import MultistartResult
 from torchmbd.results.answer import Verification
@@ -271,3 +279,14 @@ def test_advice_names_what_the_errors_come_from() -> None:
     assert advice(problem, 4.0, {"mesh"}) == "finer meshes of the flexible bodies"
     assert advice(problem, 4.0, {"steps", "mesh"}) == "finer meshes of the flexible bodies, steps: 160 or more"
     assert advice(problem, 4.0) == "steps: 160 or more"
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize(("start", "verified"), [(1.0, True), (3e-13, False)])
+def test_an_optimum_of_almost_zero_is_judged_beside_the_gain(unit: float, start: float, verified: bool) -> None:
+    """The digits of 1e-13 do not converge with the steps, which matters only for a gain of this size."""
+    value, by_steps = (unit * torch.tensor(x, dtype=torch.float64) for x in ([start, 1e-13], [1e-9 * start, 2e-13]))
+    error = ResponseError("f", value, value, value, by_steps, torch.tensor([True, False]), ("", "by chance"))
+    response = _Response("minimize", mbd.Integral(ENERGY), value.numpy(), (value + by_steps).numpy(), error)
+    assert (response.reasons == ("", "")) is verified
+    assert (not _faults_of_gain(response, claimed=True)) is verified

@@ -150,3 +150,21 @@ def test_changed_parameter_is_refused() -> None:
         dict(system.named_parameters())["arm.laminate.angles"].add_(0.1)
     with refused("arm.laminate.angles"):
         motion.error_of(mbd.Integral(ENERGY))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("origin", [0.0, 1e3])
+def test_the_range_of_a_constant_is_rounding_and_not_a_size(origin: float) -> None:
+    """A bent strip at rest: the height of its tip has the same number at all times, up to rounding."""
+    ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, alpha1=-0.3e-6, alpha2=28e-6)
+    options = {"modes": 2, "reference": "left_edge", "expansion": True}
+    laminate = mbd.Laminate(ply, mbd.deg([20, -50]), 0.25e-3, symmetric=True)
+    strip = mbd.FlexibleBody.plate("strip", mbd.mesh.rectangle(0.4, 0.1, (6, 2)), laminate, **options)
+    warm = mbd.Temperature(strip, 40.0, gradient=2e4)
+    hold = mbd.Fixed(mbd.Ground().at(-0.2, 0, 0), strip.at("left"))
+    system = mbd.System([strip], [hold], [warm], truncation=None)
+    motion = mbd.simulate(system, 0.1, steps=40, start="equilibrium", gradients="none")
+    height = mbd.Max(abs(mbd.Position("strip", "z", node="right") - origin))
+    error = motion.error_of(height, modes=False, mesh=False)
+    assert error.resolved.all(), str(error)
+    assert (error.by_steps.abs() <= 1e-3 * error.size).all()

@@ -30,6 +30,7 @@ from torchmbd.design.problem_parts import governing_row, limits_of, masses_and_f
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.words import unit, words
 from torchmbd.diagnosis.load_shares import notes_of_loads
+from torchmbd.diagnosis.response_error import SMALL
 from torchmbd.errors import InputError, MbdError, warnings_once
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.optimization import MultistartResult, OptimizationResult, Processes, RobustProblem
@@ -213,8 +214,21 @@ class _Response:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why lanes are not resolved by the steps, "" where they are."""
-        return self.error.reasons
+        """Why lanes are not resolved by the steps, "" where they are.
+
+        An error of an objective that is small beside its gain needs no confirmation by further motions: an optimum of
+        almost zero has no digits that steps could resolve.
+        """
+        if not self.is_objective:
+            return self.error.reasons
+        small = SMALL * abs(float(self.value[0] - self.value[1]))
+        errors = rows_of(self.error.by_steps).abs().amax(1).tolist()
+        return tuple("" if e <= small else reason for e, reason in zip(errors, self.error.reasons, strict=True))
+
+    @property
+    def is_objective(self) -> bool:
+        """True of the response that the search minimizes or maximizes."""
+        return self.goal in ("minimize", "maximize")
 
     @property
     def causes(self) -> set[str]:

@@ -33,7 +33,7 @@ from torchmbd.results.response_error import ResponseError, rows_of
 from torchmbd.results.trajectory import Repeated, Trajectory
 
 _LARGE = 0.1  # of the size: differences that need a motion with a quarter of the step
-_SMALL = 1e-3  # of the size: one of a thousand pairs of motions by unresolved steps agrees so well by chance
+SMALL = 1e-3  # of the size: one of a thousand pairs of motions by unresolved steps agrees so well by chance
 _ROUNDING = 1e-10  # of the value: differences that are rounding and the residuals of Newton's iterations
 _OF_MESH = 4.0 / 3.0  # elements of second order
 _BLIND = 0.5  # of the reduction of the error by half the step: below it, both motions with longer steps miss something
@@ -64,7 +64,8 @@ def response_error(
             size, change = response.size(motion), response.change(motion).abs()  # pyright: ignore[reportAttributeAccessIssue]
         else:
             size = change = change_by_motion(response, motion)
-        size = size.maximum(least(value))
+        # The range of a constant is rounding: no differences are judged by less than the rounding of the value.
+        size = size.maximum(least(value)).maximum(_ROUNDING * value.abs())
         by_steps, reasons = _by_steps(motion, again, response, value, size, enough * size)
         by_modes, lacks, by_mesh, misses = None, "", None, ""
         if modes:
@@ -115,7 +116,7 @@ def _by_steps(
     error = first / (1.0 - by_half)
     sound = torch.tensor([status == OK for status in motion.status])
     certain = sound & _all(first.abs() <= (_LARGE * size).maximum(rounding))
-    believed = certain & _all(first.abs() <= (_SMALL * size).maximum(rounding)) | sound & _all(error.abs() <= enough)
+    believed = certain & _all(first.abs() <= (SMALL * size).maximum(rounding)) | sound & _all(error.abs() <= enough)
     if order and not believed[certain].all():
         believed |= certain & _confirmed(again, response, value, error, size)
     doubtful = ~believed if order else ~certain

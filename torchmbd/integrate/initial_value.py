@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from torchmbd.integrate.held_times import held_times_of, within_phases
 from torchmbd.integrate.integrator import IntegrationResult, Integrator
@@ -17,6 +18,7 @@ from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.segment import Segment, keep_equations, single_segment
+from torchmbd.multibody.start.start import EquilibriumConditions
 from torchmbd.multibody.system.dynamics import Dynamics
 
 
@@ -42,6 +44,21 @@ class InitialValueProblem:
     def keeps_equations(self) -> bool:
         """True if all joints and laws act in every segment."""
         return keep_equations(self.segments, self.dynamics.topology)
+
+    @property
+    def closed_start(self) -> tuple[Any, Any]:
+        """Initial q [n_q, pair, lanes] and v [n_v, pair, lanes], in which the joints of the first segment are closed.
+
+        Marks of locks are set when their phase begins. So neither locks nor joints of later segments close the mechanism.
+        """
+        segment = self.segments[0]
+        topology, saddle = segment.closing
+        if topology is self.dynamics.topology:
+            return self.dynamics.start
+        free = replace(self.dynamics, topology=topology, saddle=saddle, initial=segment.initial)
+        # A mechanism without its locks may have no equilibrium.
+        sags_in_locks = segment.locks and isinstance(segment.initial, EquilibriumConditions)
+        return segment.initial.assembled(free) if sags_in_locks else free.start
 
     def integrate(self, integrator: Integrator, steps: int) -> IntegrationResult:
         """States of all lanes at steps + 1 equal times, with tangents where the dynamics have any."""

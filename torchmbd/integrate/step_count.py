@@ -64,7 +64,7 @@ def choose_steps(
         check_memory(most // _LEAST_SHARE)
     except InputError:
         check_memory(most)  # the message names the steps that resolve every mode
-    steps = min(round_up(first_steps(dynamics, duration)), most)
+    steps = min(round_up(first_steps(problem)), most)
     while True:
         check_memory(steps)
         result = problem.integrate(integrator, steps)
@@ -93,11 +93,11 @@ def all_modes(dynamics: Dynamics, duration: float) -> int:
     return max(FEWEST, math.ceil(20.0 * duration * fastest_vibration(dynamics) / (2.0 * math.pi)))
 
 
-def first_steps(dynamics: Dynamics, duration: float) -> int:
+def first_steps(problem: InitialValueProblem) -> int:
     """Enough for loads and drives of the first design; see the module header."""
-    least = FEWEST if "Kr" in dynamics.data else RIGID
+    least = FEWEST if "Kr" in problem.dynamics.data else RIGID
     with torch.no_grad():
-        laws = _laws(dynamics.values().select_lanes([0]), duration)
+        laws = _laws(problem.values().select_lanes([0]))
     for count in (2**k for k in range(6, 12)):
         if all(_followed(f, _SAMPLES // count) for f in laws):
             return max(least, count)
@@ -148,16 +148,16 @@ def _followed(f: Tensor, stride: int) -> bool:
     return bool((off <= _SHARE * size.max()).all())
 
 
-def _laws(dynamics: Dynamics, duration: float) -> list[Tensor]:
+def _laws(problem: InitialValueProblem) -> list[Tensor]:
     """Samples [k, samples + 1] of what drives prescribe and of forces at the initial state, for each kind of them."""
-    T, data = dynamics.topology, dynamics.data
-    times = torch.linspace(0.0, duration, _SAMPLES + 1, dtype=torch.float64)
+    T, data = problem.dynamics.topology, problem.dynamics.data
+    times = torch.linspace(0.0, problem.duration, _SAMPLES + 1, dtype=torch.float64)
     laws = []
     for kind in T.primitives:
         if kind.prescribes:
             laws += [part[..., 0].flatten(1).T for part in kind.prescribed(times, data)]
     if T.actions:
-        q, v = (x[..., :1].expand(*x.shape[:-1], len(times)) for x in dynamics.start)
+        q, v = (x[..., :1].expand(*x.shape[:-1], len(times)) for x in problem.closed_start)
         at = equations.placement(T, data, q, as_lanes(T.schedule(times, data)))
         states = equations.action_states(T, data, at, v)
         laws += [f.flatten(0, -2) for f in equations.strengths(T, data, states, at.t) if f.shape[-1] == len(times)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -135,13 +136,36 @@ def test_pshell_and_nsm_follow_the_thickness(tmp_path):
     same(body, read(path, "plate", 3))
     [card] = [card for card in read_cards(path) if card.name == "PSHELL"]
     assert (card.real(9, "Z1"), card.real(10, "Z2")) == pytest.approx((0.7 * 1.5e-3, -0.7 * 1.5e-3))
+
+
+@pytest.mark.parametrize(
+    ("material", "angle", "is_written"),
+    [
+        ("MAT1,2,7.+10,,.3,2700.", 0.1, True),  # a metal has no direction
+        ("MAT1,2,7.+10,,.3,2700.,2.-5", 1.0, True),
+        ("MAT1,2,7.+10,,.3,2700.,,,,\n,3.+8,3.+8,2.+8", 0.1, False),  # criteria of failure judge by directions
+        ("MAT8,2,7.+10,5.+10,.3,2.+10,2.+10,2.+10,2700.", 0.1, False),
+        ("MAT8,2,7.+10,5.+10,.3,2.+10,2.+10,2.+10,2700.", -1e-17, True),  # an optimizer leaves rounding
+        ("MAT8,2,7.+10,5.+10,.3,2.+10,2.+10,2.+10,2700.", math.pi, True),
+        ("MAT8,2,7.+10,7.+10,.3,2.+10,2.+10,2.+10,2700.", 0.1, False),
+    ],
+)
+def test_a_pshell_has_no_angle(material, angle, is_written, tmp_path):
+    """A design that turns its layer is written if the deck has the same body without the angle."""
+    deck = tmp_path / "model.bdf"
+    text = deck_text({"PCOMP,7,,,,TSAI": "PCOMP,8,,,,TSAI"})
+    deck.write_text(
+        text.replace("GRID,1,", f"PSHELL,7,2,3.-3,2\n{material}\nGRID,1,").replace("CQUAD4,2,7", "CQUAD4,2,8")
+    )
+    body = read(deck, "plate", 3)
     with torch.no_grad():
-        body.pshell_7.angles.fill_(0.1)
-    with (
-        warned("NSM"),
-        refused("plate.pshell_7.turn", ANY, "5.7"),
-    ):
-        mbd.io.write_bdf(body, deck)
+        body.pshell_7.angles.fill_(angle)
+        body.pshell_7.thickness.mul_(0.7)
+    if is_written:
+        same(body, read(mbd.io.write_bdf(body, deck), "plate", 3))
+    else:
+        with refused("plate.pshell_7.turn", ANY, f"{math.degrees(angle):g}"):
+            mbd.io.write_bdf(body, deck)
 
 
 def test_a_global_ply_stack_is_written(tmp_path):

@@ -31,6 +31,8 @@ from torchmbd.fem.materials import Laminate
 from torchmbd.math.angles import deg
 from torchmbd.multibody.bodies import FlexibleBody
 
+_SAME = 1e-9  # differences of properties and directions that are rounding
+
 
 @dataclass(frozen=True)
 class Source:
@@ -159,11 +161,12 @@ def _fields(card: Card, stack: _Stack) -> list[str]:
         raise InputError((stack.name,), rule=f"has {several} designs at once: must be one", hint="a single design")
     thickness = laminate.thickness.detach().broadcast_to(angles.shape)
     if card.name == "PSHELL":
-        if bool((angles != 0.0).any()):
+        if _direction_matters(laminate):
             turn = math.degrees(float(angles[0]))
             raise InputError(
                 (stack.name, "turn"),
                 rule=f"is turned by {turn:g} degrees: must be 0, because a PSHELL has no angle",
+                hint="a problem without this angle among its variables, or a PCOMP in the deck",
                 noun=f"{stack.name}",
             )
         places, before = [2], torch.tensor([card.real(3, "T")], dtype=torch.float64)
@@ -183,6 +186,21 @@ def _fields(card: Card, stack: _Stack) -> list[str]:
     if fields != list(card.fields):
         fields = [x if len(x) <= WIDTH else number_text(Card("", (x,), card.where).real(1, "a field")) for x in fields]
     return fields
+
+
+def _direction_matters(laminate: Laminate) -> bool:
+    """True if the layers of a PSHELL have other properties along their angles than along its x-axis.
+
+    A metal has the same in all directions. Its strengths are kept in directions, by which criteria of failure judge.
+    """
+    angles = laminate.angles.detach()
+    if bool((torch.sin(angles).abs() <= _SAME).all()):  # zero up to rounding, or half a turn
+        return False
+    if any(p.strength is not None or p.alpha1 != p.alpha2 or p.beta1 != p.beta2 for p in laminate.plies):
+        return True
+    with torch.no_grad():
+        turned, straight = laminate(), torch.func.functional_call(laminate, {"angles": torch.zeros_like(angles)}, ())
+    return bool(((turned - straight).abs() > _SAME * straight.abs().max()).any())
 
 
 def _filled(values: list[float]) -> list[float]:

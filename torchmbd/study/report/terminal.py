@@ -16,7 +16,6 @@ from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.response import Measure
 from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.words import heading
-from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult, OptimizationResult
 from torchmbd.registry import Registry
 from torchmbd.study.record.journal import Journal
@@ -155,11 +154,11 @@ def save_figure(
 
 @contextmanager
 def missing_picture_reported(console: Console) -> Iterator[None]:
-    """Print why a picture is missing (a motion that fails, a full disk), and go on."""
+    """Print why a picture is missing (a motion that fails, a full disk), and go on: the numbers of the study are on record."""
     try:
         yield
-    except (MbdError, OSError) as error:
-        console.print(f"No picture: {escape(str(error))}", style="red", soft_wrap=True)
+    except Exception as error:
+        console.print(f"No picture: {escape(str(error) or type(error).__name__)}", style="red", soft_wrap=True)
 
 
 def write_points(

@@ -84,3 +84,25 @@ def test_a_machine_at_rest_has_shapes_alone(tmp_path):
 
 def test_other_problems_have_none(tmp_path):
     assert pictures(0.0, mbd.Mass(), [], tmp_path) == ({}, [])
+
+
+@pytest.mark.parametrize("widths", [(0.03, 0.02), (0.02, 0.03)])
+def test_the_best_design_may_retain_another_number_of_modes(widths, tmp_path):
+    """The square beam has pairs of equal frequencies, and retains four modes, not three; the page has its lowest frequency."""
+    steel, width = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0), mbd.variable(widths[0])
+    section = mbd.sections.rectangle(width, 0.02, steel, cells=(2, 2))
+    beam = mbd.FlexibleBody.beam("beam", mbd.BeamLine.straight(1.0, 4), section, modes=3, reference="start")
+    system = mbd.System([beam], [mbd.Fixed(GROUND.at(), beam.at("start"))])
+    first = mbd.SystemFrequency(1)
+    problem = mbd.Problem(
+        system, 1e-3, mbd.Mass(), [first >= 1.0], (0.01, 0.1), ["beam.section.width"], steps=2, start=[widths[0]]
+    )
+    designs = {"beam.section.width": torch.tensor(widths, dtype=torch.float64)}
+    motion = mbd.simulate(system, 1e-3, steps=2, designs=designs)
+    alone = (
+        mbd.simulate(system, 1e-3, steps=2, designs={"beam.section.width": x[None]})
+        for x in designs["beam.section.width"]
+    )
+    assert {one.body("beam").w.shape[-1] for one in alone} == {3, 4}
+    [page] = draw_measures(problem, motion, LABELS, "a beam", lambda *_, **__: None, tmp_path)
+    assert f"vibration 1: {first(motion)[1].item():.4g} Hz" in page.read_text()

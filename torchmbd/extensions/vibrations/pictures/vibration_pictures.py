@@ -29,7 +29,7 @@ from torchmbd.extensions.vibrations.pictures import spectra
 from torchmbd.extensions.vibrations.pictures.mode_motion import animate_mode
 from torchmbd.extensions.vibrations.spectrum import SWINGS
 from torchmbd.extensions.vibrations.steady_states import SteadyStates, steady_states
-from torchmbd.results.mode_shapes import DesignShapes
+from torchmbd.results.mode_shapes import GivenShapes
 from torchmbd.results.time_rows import TensorSignals
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.simulation.equilibrium import Equilibrium
@@ -141,7 +141,7 @@ def _rest(states: SteadyStates, motion: Trajectory) -> Equilibrium:
         stats={},
         system=motion.system,
         dynamics=dynamics,
-        shapes=DesignShapes(motion.system, designs, 1),
+        shapes=GivenShapes(lambda name: states.modes[name][-1:].detach()),  # with the modes of the batch
         designs=designs,
         rotation=states.rotation,
     )
