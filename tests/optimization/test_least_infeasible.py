@@ -97,6 +97,34 @@ def test_a_design_that_fails_shortens_the_step():
     assert least.violation <= 1e-6
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("phase", [0.0, 1.0, 2.0, 3.0])
+def test_waves_of_the_steps_do_not_hide_a_feasible_design(phase, unit):
+    """Waves of 0.5 % are steeper than the constraint itself, so its slopes are those of the waves."""
+    waves = lambda x: 0.005 * np.sin(1500.0 * x[0] / unit + phase) + 0.005 * np.sin(900.0 * x[1] / unit)  # noqa: E731
+    problem = Analytic(
+        "waves",
+        [0.3 * unit, 0.5 * unit],
+        lambda x: (x[0] + x[1]) / unit,
+        lambda x: [1.5 * unit / (x[0] + x[1]) - 1.0 + waves(x)],
+        lower=0.1 * unit,
+        upper=unit,
+    )
+    result = optimize(problem)
+    assert result.violation <= 1e-6
+    assert result.status != "infeasible"
+
+
+def test_no_design_beside_a_least_infeasible_one_violates_less():
+    """The least violation of 0.3 lies between waves, some of which end the steps along gradients."""
+    waves = lambda x: 0.02 * np.sin(700.0 * x[0])  # noqa: E731
+    problem = Analytic("hill", [0.9], lambda x: x[0], lambda x: [0.3 + (x[0] - 0.2) ** 2 + waves(x)], lower=0, upper=1)
+    least, _ = least_of(problem)
+    assert least.conflicting == [0]
+    beside = np.clip(least.y[0] + np.array([0.25, 0.0625, -0.0625, -0.25]), 0.0, 1.0)
+    assert all(problem.c(np.array([x]))[0] >= (1.0 - 1e-3) * least.violation for x in beside)
+
+
 def test_a_method_that_gave_up_goes_on_from_the_feasible_design(monkeypatch):
     """A method that says "infeasible" once, without trying: optimize() finds a feasible design and calls it again."""
     from torchmbd.optimization import OPTIMIZERS

@@ -10,8 +10,13 @@ B approximates the second derivatives of the constraints, weighed by the multipl
 sum to one. No small change of the design reduces the violation of all constraints that have a multiplier: these conflict. The
 search ends at the first design with t <= 0, which is feasible after all. From a design where the violation is stationary but
 not a minimum, such as plies across a tube, it goes on along negative curvature (curvature.py).
+
+A violation may have small waves, which come from the steps of a simulation. Gradients are then those of the waves, and the
+search ends in one of them. So values alone are compared at its end, of designs y +- h e_k (compass search). The search moves to
+the best of them and doubles h, or divides h by four where none is better, and goes on along gradients from its end.
 Source: Madsen, Minimax solution of non-linear equations without calculating derivatives, Math. Programming Study 3 (1975)
-110-126; Conn, Gould and Toint, Trust-region methods (2000), chapter 11.
+110-126; Conn, Gould and Toint, Trust-region methods (2000), chapter 11; Kolda, Lewis and Torczon, SIAM Review 45
+(2003) 385-482.
 Checked in tests/optimization/test_least_infeasible.py.
 """
 
@@ -35,6 +40,11 @@ FIRST_RADIUS, LEAST_RADIUS = 0.5, 1e-6  # of the scaled variables
 REST = 1e-6  # promised fall of the violation, a share of it, at which the search has arrived
 FIRST_CURVATURE = 1e-2  # of B, times the violation: a step of one in the scaled variables
 FLAT = 1e-4  # curvature in t, over the violation: the quadratic program needs some
+FIRST_LENGTH, LEAST_LENGTH, MOST_LENGTH = 0.25, 0.01, 1.0  # of the compass search, in the scaled variables
+WAVES = 4  # compass searches that lead on
+POLLS = 30  # batches of designs of a compass search at most
+MOST_POLLED = 20  # variables of a compass search: two designs each
+LOWER = 1e-3  # fall of the violation, a share of it, that counts as better in a compass search
 GOOD, POOR = 0.75, 0.25  # shares of the promised fall from which the radius grows, below which it shrinks
 
 
@@ -48,9 +58,13 @@ class LeastInfeasible:
 def least_infeasible(search: Search, y: np.ndarray) -> LeastInfeasible:
     """Minimize the largest violation from `y` (scaled), a design that is evaluated already."""
     sign, rows = _rows(search)
-    saddles = 0
+    saddles = waves = 0
     while True:
-        y = _descent(search, y, sign, rows)
+        y, is_stationary = _descent(search, y, sign, rows)
+        beside = _compass_search(search, y, FIRST_LENGTH if is_stationary else LEAST_LENGTH)
+        if beside is not None and waves < WAVES:
+            y, waves = beside, waves + 1
+            continue
         evaluation = search.evaluate(y, gradients=True)
         violation = search.violation(evaluation)
         if violation <= search.feasibility:
@@ -66,15 +80,18 @@ def least_infeasible(search: Search, y: np.ndarray) -> LeastInfeasible:
         y, saddles = beyond[0], saddles + 1
 
 
-def _descent(search: Search, y: np.ndarray, sign: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Return the design at which the steps of the header end, or the first one without a violation."""
+def _descent(search: Search, y: np.ndarray, sign: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Return the design at which the steps of the header end, or the first one without a violation.
+
+    The second value is True if the violation is stationary there: the model promises no less.
+    """
     evaluation = search.evaluate(y, gradients=True)
     violation = search.violation(evaluation)
     metric, radius = VariableMetric(search.size), FIRST_RADIUS
     metric.reset(FIRST_CURVATURE * violation)
     for _ in range(ITERATIONS):
         if violation <= search.feasibility:
-            break
+            return y, True
         c, dc = _one_sided(evaluation, sign, rows)
         model = _step(c, dc, metric.B, np.maximum(search.lower - y, -radius), np.minimum(search.upper - y, radius))
         if model is None:
@@ -82,7 +99,9 @@ def _descent(search: Search, y: np.ndarray, sign: np.ndarray, rows: np.ndarray) 
         d = np.clip(y + model.s[:-1], search.lower, search.upper) - y
         promised = violation - float((c + dc @ d).max())
         length = float(np.abs(d).max(initial=0.0))
-        if promised <= REST * violation or length <= LEAST_RADIUS:
+        if promised <= REST * violation:
+            return y, True
+        if length <= LEAST_RADIUS:
             break
         trial = search.evaluate(y + d, gradients=True)
         share = (violation - search.violation(trial)) / promised if trial.ok else -np.inf
@@ -95,7 +114,35 @@ def _descent(search: Search, y: np.ndarray, sign: np.ndarray, rows: np.ndarray) 
             metric.update(d, (_one_sided(trial, sign, rows)[1] - dc).T @ multipliers)
         if share > 0.0:
             y, evaluation, violation = y + d, trial, search.violation(trial)
-    return y
+    return y, violation <= search.feasibility
+
+
+def _compass_search(search: Search, y: np.ndarray, least_length: float) -> np.ndarray | None:
+    """Return a design that violates less than y and the designs beside it, or the first one without a violation.
+
+    least_length  h at which the search ends
+    The result is None if no design beside y violates less. Of many variables the search moves those that change the violation
+    most, by the gradients at y.
+    """
+    evaluation = search.evaluate(y, gradients=True)
+    violation, length, better = search.violation(evaluation), FIRST_LENGTH, None
+    assert evaluation.constraint_gradients is not None
+    slopes = np.abs(evaluation.constraint_gradients[search.violated(evaluation)]).max(0, initial=0.0)
+    axes = np.eye(search.size)[np.argsort(-slopes, kind="stable")[:MOST_POLLED]]
+    for _ in range(POLLS):
+        if violation <= search.feasibility or length < least_length:
+            break
+        beside = [np.clip(y + h * e, search.lower, search.upper) for e in axes for h in (length, -length)]
+        beside = [z for z in beside if not np.array_equal(z, y)]
+        search.prefetch(beside, gradients=search.eager_gradients)
+        found = [(search.violation(x), k) for k, x in enumerate(map(search.evaluate, beside)) if x.ok]
+        least, k = min(found, default=(np.inf, 0))
+        if least < (1.0 - LOWER) * violation:
+            y = better = beside[k]
+            violation, length, least_length = least, min(2.0 * length, MOST_LENGTH), LEAST_LENGTH
+        else:
+            length *= 0.25
+    return better
 
 
 def _quality(search: Search, y: np.ndarray, evaluation: Evaluation, sign: np.ndarray, rows: np.ndarray) -> KuhnTucker:

@@ -160,8 +160,14 @@ class StudySettings(Summary):
         known = {name: positive(("increments", name), step, "SI") for name, step in (increments or {}).items()}
         steps = [known.get(name, known.get(name.rpartition("[")[0])) for name in names]
         if any(steps) and (self.front or self.has_extra_variable):
-            rule = "has a step, but the objective has several rows; allowed: an objective of one number, such as max"
-            raise InputError("increments", increments, rule=rule, noun="design", shown="")
+            rows = (
+                "a front"
+                if self.front
+                else "an objective of several rows, such as a worst case over scenarios or at_peaks"
+            )
+            rule = f"has a step, but the study searches for {rows}: must have one number as objective"
+            hint = "max of a history, and combine: {objective: mean} over scenarios"
+            raise InputError("increments", increments, rule=rule, hint=hint, noun="design", shown="")
         if any(steps):
             Grid(self.problem, steps, self.problem.lower, self.problem.upper, getattr(self.problem, "period", None))
         return steps

@@ -45,8 +45,9 @@ class Prior(Section):
 
 
 class Unknown(Bounded):
-    """An unknown: a parameter of the model, or `CHANNEL.delay`, `CHANNEL.gain`, `CHANNEL.offset` of a sensor; with several
-    experiments `EXPERIMENT.CHANNEL.delay`.
+    """An unknown: a parameter of the model, or a number of a sensor: `CHANNEL.delay`, `CHANNEL.gain`, `CHANNEL.offset`.
+
+    With several experiments, the names of sensors are `EXPERIMENT.CHANNEL.delay` and so on.
 
     start  first value, one or a list; default: as the model is built
     lower  lower bound, one or a list; default: none. A delay needs both
@@ -67,9 +68,9 @@ class ChannelData(Section):
     column     name of the column; default: that of the channel
     unit       unit of the column; default: that in brackets of its heading, else SI
     deviation  standard deviation of the noise, in `unit`, else SI; default: estimated
-    delay      of the sensor [s], or the name of an unknown delay, which several channels can share
-    gain       factor of the sensor, or the name of an unknown gain
-    offset     of the sensor, in `unit`, else SI; or the name of an unknown offset
+    delay      of the sensor [s], or the unknown of another channel, `CHANNEL.delay`, if both have the same delay
+    gain       factor of the sensor, or the unknown of another channel, `CHANNEL.gain`
+    offset     of the sensor, in `unit`, else SI; or the unknown of another channel, `CHANNEL.offset`
     """
 
     model_config = beside("response", "History")

@@ -220,3 +220,25 @@ def test_what_is_not_there_is_named():
     ):
         with refused(path):
             make()
+
+
+@pytest.mark.parametrize("stiffening", [True, False])
+def test_an_unbalanced_rotor_is_told_what_it_lacks(stiffening):
+    """The disk in the middle of a round shaft turns about a point beside its center of mass."""
+    rod = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=3e-4, Iyy=7.9e-9, Izz=7.9e-9, J=1.6e-8)
+    ends = {"reduction": "craig-bampton", "interface": ["center", "end"], "stiffening": stiffening}
+    shaft = mbd.FlexibleBody.beam("shaft", mbd.BeamLine.straight(1.0, 4), rod, modes=2, reference="start", **ends)
+    ground, bearing = mbd.Ground(), (1e8, 1e8, 1e8)
+    for eccentricity in (0.0, 1e-3):
+        disk = mbd.RigidBody("disk", 5.0, (0.02, 0.01, 0.01), center=(0, eccentricity, 0), position=(0.5, 0, 0))
+        joints = [mbd.Fixed(shaft.at("center"), disk.at()), mbd.Drive(ground, shaft, axis="x", speed=10.0)]
+        bearings = [mbd.Bushing(ground.at(x, 0, 0), shaft.at(n), bearing) for n, x in (("start", 0.0), ("end", 1.0))]
+        motion = mbd.simulate(mbd.System([shaft, disk], joints, bearings), 1e-4, steps=2)
+        critical = mbd.CriticalSpeed(1, between=(40.0, 300.0), axis="x")
+        if eccentricity:
+            with pytest.raises(mbd.DesignFailure, match="an unbalance has no steady state"):
+                critical(motion)
+        else:
+            assert critical(motion).item() == pytest.approx(
+                math.sqrt(48 * 210e9 * 7.9e-9 / (5.0 + 17 / 35 * 2.355)), rel=0.02
+            )

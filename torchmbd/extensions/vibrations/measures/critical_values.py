@@ -37,6 +37,7 @@ _ACCURACY = 1e-12  # of the root, relative
 _STILL = 1e-9  # share of |s| below which a real part is rounding: the pole neither decays nor grows
 _ROUNDING = 1e-13  # of poles, as a share of the largest
 SPEED = "speed"
+_BALANCED = "a balanced rotor: an unbalance has no steady state near a critical speed"  # hint
 # Of a speed: at a critical speed of unbalance a shaft stands still in turning axes, and the zero has no derivative. What a
 # fixed observer sees is smooth there: a cubic through four speeds beside it has it to the fourth power of this share.
 _BESIDE = 1e-2
@@ -119,6 +120,9 @@ class CriticalSpeed(OfVibrations):
               machine. With both, the critical speed is that of a fixed observer. Bodies with modes are computed in axes
               that turn with them, so the bearings must be isotropic
 
+    The rotor must be balanced: an unbalance bends it without limit near a critical speed, so there is no steady state.
+    Leave out the eccentricity here, and give it in the motion that shows its response.
+
     Raises InputError if there are fewer than `number` critical speeds. Also raises it for blades and shafts of non-circular
     section, because a fixed observer sees several frequencies of one vibration. Use `CampbellClearance` for loads on a
     turning blade.
@@ -180,7 +184,11 @@ class CriticalSpeed(OfVibrations):
     def _bracket(self, system: System, designs: Designs, shaft: Shaft) -> tuple[float, float, int]:
         """Two speeds around the crossing, and the number of the frequency from 0."""
         speeds = torch.linspace(*self.between, self.points, dtype=torch.float64)
-        states = steady_states(system, speeds, shaft, designs)
+        try:
+            states = steady_states(system, speeds, shaft, designs)
+        except DesignFailure as failure:
+            failure.hint = failure.hint or _BALANCED
+            raise
         if shaft.observer == TURNING:
             seen = _seen_from_ground(system, states, shaft, speeds)
             w = states.eigenvalues(NATURAL, seen)[0]
@@ -193,7 +201,7 @@ class CriticalSpeed(OfVibrations):
                     "a round shaft, whose vibrations whirl",
                     noun="an observer at rest",
                     state=f"sees several frequencies of vibration {k + 1} at {float(speeds[i]):g} rad/s",
-                    hint="CampbellClearance for blades",
+                    hint=f"CampbellClearance for blades; {_BALANCED}",
                 )
             w = (w + seen.orders * speeds[:, None]).abs().sort(dim=1).values
         else:
