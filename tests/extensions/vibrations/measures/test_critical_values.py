@@ -234,7 +234,7 @@ def test_an_unbalanced_rotor_is_told_what_it_lacks(stiffening):
         joints = [mbd.Fixed(shaft.at("center"), disk.at()), mbd.Drive(ground, shaft, axis="x", speed=10.0)]
         bearings = [mbd.Bushing(ground.at(x, 0, 0), shaft.at(n), bearing) for n, x in (("start", 0.0), ("end", 1.0))]
         motion = mbd.simulate(mbd.System([shaft, disk], joints, bearings), 1e-4, steps=2)
-        critical = mbd.CriticalSpeed(1, between=(40.0, 300.0), axis="x")
+        critical = mbd.vibrations.CriticalSpeed(1, between=(40.0, 300.0), axis="x")
         if eccentricity:
             with pytest.raises(mbd.DesignFailure, match="an unbalance has no steady state"):
                 critical(motion)

@@ -93,7 +93,7 @@ def test_the_best_design_may_retain_another_number_of_modes(widths, tmp_path):
     section = mbd.sections.rectangle(width, 0.02, steel, cells=(2, 2))
     beam = mbd.FlexibleBody.beam("beam", mbd.BeamLine.straight(1.0, 4), section, modes=3, reference="start")
     system = mbd.System([beam], [mbd.Fixed(GROUND.at(), beam.at("start"))])
-    first = mbd.SystemFrequency(1)
+    first = mbd.vibrations.SystemFrequency(1)
     problem = mbd.Problem(
         system, 1e-3, mbd.Mass(), [first >= 1.0], (0.01, 0.1), ["beam.section.width"], steps=2, start=[widths[0]]
     )
