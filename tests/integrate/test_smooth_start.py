@@ -59,9 +59,12 @@ def test_a_cut_between_two_steps_is_less_than_their_error(method, share):
         assert fine < 0.35 * coarse
 
 
-def pendulum() -> mbd.System:
-    """A mass on a hinge, started aside."""
-    bob = mbd.RigidBody("bob", MASS, (1e-9, 1e-9, 1e-9), position=(LENGTH, 0, 0))
+def pendulum(speed: float = 0.0) -> mbd.System:
+    """A mass on a hinge, started aside, with a speed across the rod."""
+    spin = -speed / LENGTH
+    bob = mbd.RigidBody(
+        "bob", MASS, (1e-9, 1e-9, 1e-9), position=(LENGTH, 0, 0), velocity=(0, 0, speed), angular_velocity=(0, spin, 0)
+    )
     hinge = mbd.Revolute(mbd.Ground().at(), bob.at(-LENGTH, 0, 0), axis="y", name="hinge")
     return mbd.System([bob], [hinge], gravity=(0.0, 0.0, -G))
 
@@ -101,3 +104,46 @@ def test_multipliers_are_of_second_order_after_a_switch(method, pieces):
         motion = mbd.simulate(pendulum(), 1.0, method, steps=steps, phases=PIECES[pieces], gradients="none")
         errors.append(pull_error(motion, float(motion.switches[0].t)))
     assert errors[1] < 0.1 * errors[0]  # a quarter where multipliers are of first order
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_multipliers_are_of_second_order_from_the_start(method):
+    """The same pull, in the first 20 steps of a motion that begins with a speed; the motion itself begins with just that."""
+    errors = []
+    for steps in (100, 400):
+        motion = mbd.simulate(pendulum(speed=4.0), 0.3, method, steps=steps, gradients="none")
+        errors.append(pull_error(motion, 0.0))
+        assert_close(
+            motion.body("bob").at().velocity[0, :1],
+            torch.tensor([[0.0, 0.0, 4.0]], dtype=torch.float64),
+            rtol=0,
+            atol=1e-13,
+        )
+    assert errors[1] < 0.1 * errors[0]  # a quarter where multipliers are of first order
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("checkpoint", [None, 20])
+@pytest.mark.parametrize("backend", ["eager", "native"])
+@pytest.mark.usefixtures("compiled")
+def test_gradients_through_the_start_of_the_steps(backend, checkpoint):
+    """By initial rates, which are outputs themselves: forward = reverse = differences."""
+    system = slider_crank.build(2, cells=(4, 2), modes=2)
+    name = "rod.laminate.angles"
+    start = dict(system.named_parameters())[name].detach()
+
+    def total(x: Tensor, gradients: str) -> Tensor:
+        options: dict[str, Any] = {"gradients": gradients, "backend": backend}
+        if checkpoint is not None:
+            options["checkpoint"] = checkpoint
+        motion = mbd.simulate(system, 0.02, steps=40, designs={name: x}, **options).require_ok()
+        return 1e-3 * motion.v[:, 0].square().sum() + 1e-6 * motion.reaction(system.joints[0].name).force.square().sum()
+
+    slopes = []
+    for gradients in ("reverse",) if checkpoint else ("reverse", "forward"):
+        x = start[None].clone().requires_grad_()
+        slopes.append(torch.autograd.grad(total(x, gradients), x)[0])
+    assert_close(slopes[-1], slopes[0], rtol=0, atol=1e-5 * float(slopes[0].abs().max()))
+    step = 1e-4 * torch.ones_like(start)
+    difference = float(total((start + step)[None], "none") - total((start - step)[None], "none"))
+    assert difference == pytest.approx(2.0 * float((slopes[0] * step).sum()), rel=1e-4)

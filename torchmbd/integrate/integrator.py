@@ -2,7 +2,7 @@
 
     stepper               regular steps of all lanes, from output to output
     step_of_size          a step of every lane whose size and end may depend on the design
-    smooth_start          the states from which steps go on after a switch, or with another size
+    smooth_start          the states from which steps go on at the start, after a switch, or with another size
     estimates             of the errors of the steps
     retry                 the integrator for lanes that failed
     with_defaults         the same integrator, defaults chosen for a system
@@ -29,7 +29,7 @@ from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.multibody.equations.equations import Data
 from torchmbd.multibody.equations.topology import Schedule, Topology
-from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
 from torchmbd.results.history import History, Record
 from torchmbd.results.motion_data import Switch
 from torchmbd.results.state import State
@@ -150,10 +150,13 @@ class Integrator(ABC):
         step is nan.
         """
 
-    def smooth_start(self, dynamics: Dynamics, x: State, t: Any, h: Any) -> SmoothStart:
-        """From which states steps go on without transients, after a switch or with another size.
+    def smooth_start(
+        self, dynamics: Dynamics, x: State, t: Any, h: Any, closed: SaddleSolver | None = None
+    ) -> SmoothStart:
+        """From which states steps go on without transients: at the start, after a switch or with another size.
 
         dynamics   not condensed;  x: states at times t [1 + n, lanes];  h: sizes of regular steps
+        closed     the solver of the accelerations at the start of a motion (smooth_start.py)
         """
         return SmoothStart()
 

@@ -38,7 +38,7 @@ from torchmbd.integrate.step import Weights
 from torchmbd.integrate.stepper import EagerStepper
 from torchmbd.integrate.variable_step import step_of_size
 from torchmbd.math.checked_numbers import is_whole
-from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
 from torchmbd.results.state import State
 
 _ITERATIONS, _OF_BEAMS = (3, 1), (4, 2)  # corrections of values and tangents
@@ -105,8 +105,10 @@ class OneStep(Integrator):
     def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
         return step_of_size(dynamics, self.weights, x, h, t1, near)
 
-    def smooth_start(self, dynamics: Dynamics, x: State, t: Any, h: Any) -> SmoothStart:
-        return smooth_start(dynamics, self.weights(1.0), x, t, h) if dynamics.topology.rows else SmoothStart()
+    def smooth_start(
+        self, dynamics: Dynamics, x: State, t: Any, h: Any, closed: SaddleSolver | None = None
+    ) -> SmoothStart:
+        return smooth_start(dynamics, self.weights(1.0), x, t, h, closed) if dynamics.topology.rows else SmoothStart()
 
     def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates:
         return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)

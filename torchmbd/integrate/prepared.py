@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.pullback import leaf
 from torchmbd.math.pair import Pair, linear, value
-from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
 from torchmbd.results.state import State
 
 
@@ -24,6 +25,8 @@ class Prepared(NamedTuple):
     """A system, the condensed system, and the initial states of this and of the whole; one where nothing is condensed.
 
     leaves   names of the data that are leaves of torch, of which all this is a function
+    solver   of the initial accelerations; None: they follow a switch
+    begin    the condensed state from which steps of a size go on; None: not known yet
     """
 
     whole: Dynamics
@@ -31,33 +34,45 @@ class Prepared(NamedTuple):
     start: State
     state: State
     leaves: tuple[str, ...] = ()
+    solver: SaddleSolver | None = None
+    begin: State | None = None
 
     def detached(self) -> Prepared:
-        """The same without a graph of torch."""
+        """The same without a graph of torch, and without the solver."""
         whole = detached(self.whole)
         condensed = whole if self.condensed is self.whole else detached(self.condensed)
-        start, state = (x.map(lambda y: linear(Tensor.detach, y)) for x in (self.start, self.state))
-        return Prepared(whole, condensed, start, state)
+        start, state, begin = (
+            x.map(lambda y: linear(Tensor.detach, y)) for x in (self.start, self.state, self.begin or self.start)
+        )
+        return Prepared(whole, condensed, start, state, begin=begin)
+
+    def with_begin(self, integrator: Integrator, t: Any, h: Any) -> Prepared:
+        """The same with the state from which steps of sizes h go on, at the start times t, both [1 + n, lanes]."""
+        smooth = integrator.smooth_start(self.whole, self.state, t, h, self.solver)
+        if self.condensed is not self.whole:
+            rows = self.condensed.initial.condensation.independent
+            smooth = smooth.map(lambda y: y.index_select(0, rows))
+        return self._replace(begin=smooth.resized(self.start, h))
 
 
 def prepare(dynamics: Dynamics) -> Prepared:
     """Initial state and condensed system, made once for a `Dynamics`; with a graph of torch from data that are leaves."""
     if dynamics.prepared is None:
         with of_leaves(dynamics) as leaves:
-            state, condensed = initial(dynamics), dynamics.condensed()
+            (state, solver), condensed = initial(dynamics), dynamics.condensed()
             x = state
             if condensed is not dynamics:
                 x = condensed.initial.condensation.retained_state(state)
                 x = x._replace(lam=condensed.zero_left_out(x.lam))
-        dynamics.prepared = Prepared(dynamics, condensed, x, state, leaves)
+        dynamics.prepared = Prepared(dynamics, condensed, x, state, leaves, solver)
     return dynamics.prepared
 
 
 def prepare_whole(dynamics: Dynamics) -> Prepared:
     """The same for steps of the whole system."""
     with of_leaves(dynamics) as leaves:
-        state = initial(dynamics)
-    return Prepared(dynamics, dynamics, state, state, leaves)
+        state, solver = initial(dynamics)
+    return Prepared(dynamics, dynamics, state, state, leaves, solver)
 
 
 @contextmanager
@@ -82,12 +97,13 @@ def detached(dynamics: Dynamics) -> Dynamics:
     return plain
 
 
-def initial(dynamics: Dynamics) -> State:
-    """Consistent initial positions, velocities and accelerations; pairs if the data are."""
+def initial(dynamics: Dynamics) -> tuple[State, SaddleSolver]:
+    """Consistent initial positions, velocities and accelerations, pairs if the data are; and the solver of these."""
     t = torch.zeros((), dtype=torch.float64)
     q, v = (_paired(x, dynamics.tangents) for x in dynamics.start)
-    a, lam = dynamics.accelerations(t, q, v)
-    return State(q, v, a, a, lam)
+    solver = SaddleSolver(dynamics, t, q)
+    a, lam = dynamics.accelerations(t, q, v, solver)
+    return State(q, v, a, a, lam), solver
 
 
 def _paired(x: Any, tangents: int) -> Any:

@@ -1,4 +1,4 @@
-"""States from which steps of a size go on without transients: after switches, and where the size of the steps changes.
+"""States from which steps of a size go on without transients: at the start, after switches, and where their size changes.
 
 One-step methods keep the constraints at positions, not at rates. Along a smooth motion with the jerk v'' the accelerations of
 the method and the rates of the step are
@@ -14,12 +14,12 @@ error of order h that changes its sign in every step and grows for some, while c
 Only the shares along M^-1 Phi_q' are needed, so the jerk is that of the constraints alone:
 
     M v'' + Phi_q' mu = 0,   Phi_q v'' = 6/h^3 (Phi + h Phi' + h^2/2 Phi'' - Phi(q o exp(h v + h^2/2 v' + h^3/12 om x om')))
-    M d + Phi_q' nu = 0,     Phi_q d = Phi_q (...)
+    d = (1/6 - D/2 - beta) v'' + e,   M e + Phi_q' nu = 0,   Phi_q e = Phi_q (om x om') / 12
 
 No force enters, and no vibration of a body: a frequency that the steps do not resolve gets no large acceleration.
 What a step itself leaves stays: of order h^2 in all numbers.
 Source: Arnold and Bruels, Multibody Syst. Dyn. 18 (2007) 185-202 (a at the start); Arnold, Bruels, Cardona, Numer. Math. 129
-(2015) 149-179 (order of the multipliers, rates at the start); both for starts of a motion.
+(2015) 149-179 (order of the multipliers, rates at the start).
 Checked in tests/integrate/test_smooth_start.py.
 """
 
@@ -34,7 +34,6 @@ from torch import Tensor
 from torchmbd.integrate.lanes import pick_lanes
 from torchmbd.integrate.step import Weights
 from torchmbd.math.elementwise import reciprocal
-from torchmbd.math.jet import Jet
 from torchmbd.math.pair import cat, cross, linear
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.equations import Data, Placement
@@ -59,6 +58,8 @@ class SmoothStart(NamedTuple):
 
         before   size of the steps that led to x; zero: its rates keep the constraints, and a = v'
         """
+        if isinstance(self.jerk, float):
+            return x
         v = x.v + (h * h - before * before) * self.offset
         return x._replace(v=v, a=x.a + (self.lag * (h - before)) * self.jerk)
 
@@ -73,52 +74,40 @@ class SmoothStart(NamedTuple):
         return self.map(lambda y: pick_lanes(y, lanes))
 
 
-def smooth_start(dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart:
+def smooth_start(
+    dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any, closed: SaddleSolver | None = None
+) -> SmoothStart:
     """Return the smooth start near states x of a system that is not condensed, at times t [1 + n, lanes].
 
     weights   of a step of size one
     h         sizes of regular steps [1 + n, lanes], over which the third rates are found from positions
+    closed    the solver of the accelerations at x, where x solves the constraints with their rates: at the start of a motion
     """
     lag = (weights.share - 1.0) / (1.0 - weights.a_from_a)
     rest = 1.0 / 6.0 - 0.5 * lag - weights.step_from_new
 
     def of_time(dynamics: Dynamics, t: Tensor, q: Any, v: Any, vd: Any, h: Any) -> tuple:
-        T, solver = dynamics.topology, SaddleSolver(dynamics, t, q)
+        T, solver = dynamics.topology, closed or SaddleSolver(dynamics, t, q)
 
-        def third_rates(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any, y: Any) -> Any:
+        def of_third_rates(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any) -> tuple:
             cube = h * h * h
             step = h * v + (0.5 * h * h) * vd + ((1.0 / 12.0) * cube) * _turning(T, v, vd)
             end = equations.placement(T, data, equations.advance(T, q, step), at_own_times(T, t[None] + h, data))
-            phi = equations.constraint_jets(T, at, data, v, vd, t)  # what a step leaves of the rates is no third rate
-            third = equations.constraints(T, end) - phi.value - h * phi.velocity - (0.5 * h * h) * phi.acceleration
-            return _gradients(T, data, at, y) + (6.0 * reciprocal(cube)) * third
+            if closed is None:  # what a step leaves of the rates is no third rate
+                phi = equations.constraint_jets(T, at, data, v, vd, t)
+                known = phi.value + h * phi.velocity + (0.5 * h * h) * phi.acceleration
+            else:
+                known = equations.constraints(T, at)
+            return linear(torch.zeros_like, v), (6.0 * reciprocal(cube)) * (known - equations.constraints(T, end))
 
-        def offsets(data: Data, at: Placement, q: Any, v: Any, vd: Any, jerk: Any, y: Any) -> Any:
-            return _gradients(T, data, at, y - rest * jerk - _turning(T, v, vd) * (1.0 / 12.0))
+        def of_turning(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any) -> tuple:
+            return (1.0 / 12.0) * _turning(T, v, vd), linear(torch.zeros_like, equations.constraints(T, at))
 
-        jerk = _of_constraints(solver, T, third_rates, v, vd, h)
-        return jerk, _of_constraints(solver, T, offsets, v, vd, jerk)
+        jerk, turning = solver.along_constraints(of_third_rates, of_turning, of=(v, vd, h))
+        return jerk, rest * jerk + turning
 
     jerk, offset = at_time(of_time, dynamics, t, x.q, x.v, x.vd, h)
     return SmoothStart(jerk, offset, lag)
-
-
-def _of_constraints(solver: SaddleSolver, T: Topology, rows: Callable[..., Any], *state: Any) -> Any:
-    """y [n_v, ...] along M^-1 Phi_q' with rows(data, placement, q, *state, y) = 0."""
-
-    def residual(data: Data, at: Placement, q: Any, *numbers: Any) -> Any:
-        *state, x = numbers
-        return cat([equations.impulses(T, data, at, x[: T.n_v], x[T.n_v :]), rows(data, at, q, *state, x[: T.n_v])])
-
-    return solver(residual, *state)[: T.n_v]
-
-
-def _gradients(T: Topology, data: Data, at: Placement, y: Any) -> Any:
-    """Phi_q y [rows, ...]."""
-    still = linear(torch.zeros_like, y)
-    laws = [(drive or ())[: p.driven] for p, drive in zip(T.primitives, at.drives, strict=True)]
-    drives: list[tuple | None] = [tuple(Jet(x, x * 0.0, x * 0.0) for x in law) or None for law in laws]
-    return equations.driven_jets(T, at, data, y, still, drives).velocity
 
 
 def _turning(T: Topology, v: Any, vd: Any) -> Any:

@@ -164,5 +164,5 @@ def _driven(T: Topology, data: equations.Data, times: Tensor, q: Tensor, lam: Te
     still = q.new_zeros(T.n_v, 1, 1)
     for i, t in enumerate(times):
         at = equations.placement(T, data, q[..., i : i + 1], T.prescribed(t, data))
-        power[:, i : i + 1] = dot(lam[..., i : i + 1], equations.constraint_jets(T, at, data, still, still, t).velocity)
+        power[:, i : i + 1] = dot(lam[..., i : i + 1], equations.constraint_rates(T, at, data, still, t))
     return power

@@ -156,6 +156,10 @@ class Record:
         for part, y in zip(self.parts, (x.q, x.v, x.vd, x.lam), strict=True):
             part[i] = y.full if isinstance(y, Pair) else y
 
+    def put_rates(self, i: int, v: Any) -> None:
+        """Keep other rates at time i."""
+        self.parts[1][i] = v.full if isinstance(v, Pair) else v
+
     def put_all(self, i: int, states: History) -> None:
         """Keep the states of time i and of those after it."""
         for part, y in zip(self.parts, (states.q, states.v, states.vd, states.lam), strict=True):

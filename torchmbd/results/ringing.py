@@ -2,9 +2,9 @@
 
     d_n = (x_(n-1) - 2 x_n + x_(n+1)) / 4        amplitude: sqrt(-d_n . d_(n+1)) where three d in a row change their sign
 
-In the first steps of a motion by generalized-alpha multipliers are accurate to first order only and alternate about their
-values, with an amplitude that is their error; so do later those that follow vibrations that the steps do not resolve. Steps
-after a switch begin from states without this error (integrate/smooth_start.py).
+Multipliers of generalized-alpha alternate about their values, with an amplitude that is their error, where the acceleration of
+a drive jumps within a phase, and where they follow vibrations that the steps do not resolve. Steps at the start and after a
+switch begin from states without this error (integrate/smooth_start.py).
 Source: Arnold, Bruels and Cardona, Numer. Math. 129 (2015) 149-179.
 Checked in tests/results/test_ringing.py.
 """

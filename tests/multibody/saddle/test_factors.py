@@ -41,7 +41,7 @@ def dense(dynamics: Dynamics) -> Dynamics:
 
 
 def start(dynamics: Dynamics) -> tuple:
-    x = initial(dynamics)
+    x, _ = initial(dynamics)
     return x.vd, x.lam
 
 

@@ -67,6 +67,7 @@ class _Cotangents:
     end      of the states at the bases of the last steps; None: no lane leaves the segment
     start    of the times of the entries, and of the states after the switch; None: as for `end`
     arrival  of the states at the first points of the grid; None: of no lane
+    rates    of the initial rates, as outputs of the motion; None: zero
     """
 
     lanes: list[int]
@@ -75,6 +76,7 @@ class _Cotangents:
     end: list[Tensor] | None = None
     start: list[Tensor] | None = None
     arrival: list[Tensor] | None = None
+    rates: Tensor | None = None
 
     def add(self, key: Key, lanes: Sequence[int], cotangent: Tensor) -> None:
         """Add cotangents [rows, ...] of some of the lanes, counted among these."""
@@ -131,6 +133,10 @@ class RunAdjoint:
         for name, x in bar.data.items():
             if x is not None:
                 so_far.by["data", name] = rows_first(x, so_far.lanes).clone()
+        if (of_rates := bar.states[1]) is not None:  # steps begin with other rates than the motion
+            so_far.rates = rows_first(self._of_steps(self.run.records[0], 1, of_rates[:1])[0], so_far.lanes)
+            of_rates = of_rates.index_fill(0, torch.zeros(1, dtype=torch.long), 0.0)
+            bar = bar._replace(states=[bar.states[0], of_rates, *bar.states[2:]])
         for record in reversed(self.run.records):
             self._exit(record, so_far, rows)
             self._steps(record, so_far, bar.states, rows)
@@ -296,6 +302,8 @@ class RunAdjoint:
         q, v, vd, lam = (pick_lanes(x[at], lanes) for x in (run.q, run.v, run.vd, run.lam))
         if c is not None:
             q, v, vd = q[:, c.coordinates], v[:, c.independent], vd[:, c.independent]
+        if not record.number and points.start == 0:
+            v = torch.cat([pick_lanes(record.arrival.v, lanes)[None], v[1:]])
         history = History(q, v, vd, lam if rows is None else lam[:, rows])
         leaves, dynamics, start = self._leaves_of_steps(record, group, lanes)
         offset, cuts, starts = -points.start % every, [base] if 0 < base < len(points) - 1 else [], None
@@ -333,7 +341,8 @@ class RunAdjoint:
         """
         if not record.number and len(group) == len(self.lanes) and not self.run.segments[0].locks:
             leaves, made = self._start
-            return {name: x for (kind, name), x in leaves.leaves.items() if kind == "data"}, made.condensed, made.start
+            assert made.begin is not None
+            return {name: x for (kind, name), x in leaves.leaves.items() if kind == "data"}, made.condensed, made.begin
         dynamics, start = record.dynamics.select_lanes(lanes), pick_states(record.arrival, lanes).map(leaf)
         names = {name: dynamics.data[name] for name in self._leaf_names}
         leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
@@ -349,12 +358,12 @@ class RunAdjoint:
     def _initial(self, so_far: _Cotangents, rows: int) -> None:
         """From the initial states, and those at the first point of the grid, to the leaves."""
         segment = self.run.segments[0]
-        if so_far.arrival is None and so_far.start is None and not segment.locks:
+        if so_far.arrival is None and so_far.start is None and so_far.rates is None and not segment.locks:
             return  # the steps led to the leaves
         leaves, made = self._start
-        outputs, of_outputs = [], []
-        for state, cotangents in ((made.start, so_far.arrival), (made.state, (so_far.start or [])[1:])):
-            outputs += state if cotangents else []
+        outputs, of_outputs = [made.start.v], [so_far.rates]
+        for state, cotangents in ((made.begin, so_far.arrival), (made.state, (so_far.start or [])[1:])):
+            outputs += (state or []) if cotangents else []
             of_outputs += cotangents or []
         self._add_marks(made.whole.data, segment, so_far, outputs, of_outputs)
         by_inputs = pulled_back(outputs, of_outputs, list(leaves.leaves.values()), rows, at_once=True)

@@ -69,6 +69,7 @@ def integrate(multiphase: MultiphaseRun) -> Statistics:
     for number in range(len(multiphase.segments)):
         phase_exit, of_phase = _PhaseLoop(multiphase, number, phase_exit, estimates).run()
         largest = largest.maximum(of_phase)
+    multiphase.states.put_rates(0, multiphase.initial_rates)
     if estimates is None:
         return replace(largest, evaluations=multiphase.whole.statistics["evaluations"] - evaluations)
     estimates.put_into(largest, multiphase.phase_number, multiphase.every)
@@ -83,7 +84,8 @@ class _PhaseLoop:
         self.integrator, self.segment = multiphase.integrator, multiphase.segments[number]
         self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
         self.short = max(self.integrator.shortest_step, _SAME)
-        self.dynamics, self.condensed, start_of_steps, x, _ = multiphase.enter(number, entry)
+        prepared = multiphase.enter(number, entry)
+        self.dynamics, self.condensed, x = prepared.whole, prepared.condensed, prepared.state
         self.ends = multiphase.end_times(self.segment, entry.t, self.dynamics.data)
         self.entry, self.alive = PhaseExit(entry.t, x), multiphase.entered_lanes(entry)
         self.lanes = len(self.alive)
@@ -95,8 +97,10 @@ class _PhaseLoop:
         if number and bool((before := multiphase.records[-1].ends_on_grid).any()):
             goes_on = before & multiphase.goes_on(number, self.dynamics, entry)
         self.record = PhaseRecord(
-            number, self.dynamics, self.condensed, entry, x, start_of_steps, self.first, on_grid, goes_on
+            number, self.dynamics, self.condensed, entry, x, prepared.start, self.first, on_grid, goes_on
         )
+        if prepared.begin is not None:
+            self.record.arrival = prepared.begin
         self.search = None
         if self.event is not None:
             self.search = ShortEventSearch(self.event, self.record, self.integrator, multiphase.views, self.times)

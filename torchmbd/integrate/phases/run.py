@@ -105,15 +105,17 @@ class MultiphaseRun:
         segment, dynamics = self.segments[0], whole
         if segment.topology is not whole.topology:
             dynamics = replace(whole, topology=segment.topology, saddle=segment.saddle, initial=segment.initial)
-        if not segment.locks:
-            made = (prepare if self.integrator.condenses else prepare_whole)(dynamics)
-            whole.start_errors.update(dynamics.start_errors)  # of the problem
-            return made
+        t = self._wide(torch.zeros(1, whole.lanes, dtype=torch.float64), whole.lanes)
         with of_leaves(whole):
-            return self._locked(whole, dynamics)  # without leaves: the adjoint needs them before locks take hold
+            if segment.locks:
+                made = self._locked(whole, dynamics, t)  # without leaves: the adjoint needs them before locks take hold
+            else:
+                made = (prepare if self.integrator.condenses else prepare_whole)(dynamics)
+                whole.start_errors.update(dynamics.start_errors)  # of the problem
+            return made.with_begin(self.integrator, t, self.grid_times(torch.tensor(1), t))
 
-    def _locked(self, whole: Dynamics, dynamics: Dynamics) -> Prepared:
-        """As `_first_segment`, with locks that hold the joints as they are closed."""
+    def _locked(self, whole: Dynamics, dynamics: Dynamics, t: Any) -> Prepared:
+        """As `_first_segment`, with locks that hold the joints as they are closed; t [1 + n, lanes]: zero."""
         segment = self.segments[0]
         q, v = (self._wide(x, whole.lanes) for x in self._closed_coordinates(whole))
         data = data_with_marks(whole.topology, whole.data, q, segment.locks)
@@ -122,7 +124,6 @@ class MultiphaseRun:
         of_steps = dynamics.condensed() if self.integrator.condenses else dynamics
         before = State(q, v, v * 0.0, v * 0.0, v[:0])
         lanes = lane_numbers(torch.isfinite(value(q)).flatten(0, 1).all(0))
-        t = self._wide(torch.zeros(1, whole.lanes, dtype=torch.float64), whole.lanes)
         state = self._entered(0, lanes, dynamics, PhaseExit(t, before))
         retained = state if of_steps is dynamics else of_steps.initial.condensation.retained_state(state)
         return Prepared(dynamics, of_steps, retained, state)
@@ -190,6 +191,11 @@ class MultiphaseRun:
         """Where the first segment begins."""
         lanes = self.whole.lanes
         return PhaseExit(self._wide(torch.zeros(1, lanes, dtype=torch.float64), lanes), self.first.state)
+
+    @property
+    def initial_rates(self) -> Any:
+        """Rates of the recorded states at the start; those of the first step may differ (smooth_start.py)."""
+        return (self.first.start if self.keeps_equations else self.first.state).v
 
     def start_of_leaves(self, lanes: Sequence[int], names: Sequence[str]) -> tuple[LaneLeaves, Prepared]:
         """Data of these names as leaves, and the initial state of some lanes and the dynamics of the first segment as

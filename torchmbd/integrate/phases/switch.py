@@ -152,11 +152,9 @@ def _velocity_change(solver: SaddleSolver, dynamics: Dynamics, t: Tensor, impuls
         forces = forces if impulse is None else forces - impulse
         if not T.rows:
             return forces
-        still = torch.zeros_like(dv)
-        rates = equations.constraint_jets(T, at, data, dv if v is None else v + dv, still, t).velocity
         if v is None:
-            rates = rates - equations.constraint_jets(T, at, data, still, still, t).velocity
-        return cat([forces, rates])
+            return cat([forces, equations.constraint_changes(T, at, data, dv)])
+        return cat([forces, equations.constraint_rates(T, at, data, v + dv, t)])
 
     return solver(residual, impulse, v)[: T.n_v]
 

@@ -222,19 +222,34 @@ def constraint_jets(T: Topology, at: Placement, data: Data, v, a, t: Tensor) -> 
     return driven_jets(T, at, data, v, a, T.law_jets(t, data))
 
 
+def constraint_rates(T: Topology, at: Placement, data: Data, v, t: Tensor) -> Any:
+    """Phi' [rows, ...] at time t: Phi_q v + Phi_t."""
+    return driven_jets(T, at, data, v, None, T.law_jets(t, data)).velocity
+
+
+def constraint_changes(T: Topology, at: Placement, data: Data, y) -> Any:
+    """Phi_q y [rows, ...]: as `constraint_rates`, of laws that stand still."""
+    drives: list[tuple | None] = [
+        drive and tuple(Jet(x, 0.0 * x) for x in drive[: p.driven])
+        for p, drive in zip(T.primitives, at.drives, strict=True)
+    ]
+    return driven_jets(T, at, data, y, None, drives).velocity
+
+
 def driven_jets(T: Topology, at: Placement, data: Data, v, a, drives: list[tuple | None]) -> Jet:
-    """The same for laws that are known with their slopes.
+    """The jets of constraints for laws that are known with their slopes; a None: of first order.
 
     Of systems whose only prescribed body is the ground: a condensed one starts from the state of the whole.
     """
     assert not T.prescribed_bodies
-    parts = [T.arguments(part) for part in vector_jets(T, at, data, v, a).parts]
+    vectors = Jet(at.g, vector_velocities(T, at, data, v)) if a is None else vector_jets(T, at, data, v, a)
+    parts = [T.arguments(part) for part in vectors.parts]
     phi = []
     for i, (primitive, law) in enumerate(zip(T.primitives, drives, strict=True)):
         drive = (*(law or ()), *(at.drives[i] or ())[primitive.driven :]) if primitive.angles else law
         members = [Jet(*x) for x in zip(*(part[i] for part in parts), strict=True)]
         phi.append(primitive.phi(members, drive).map(lambda x: x.flatten(0, 1)))
-    return Jet(*(cat([jet.parts[k] for jet in phi]) for k in range(3)))
+    return Jet(*(cat(list(part)) for part in zip(*(jet.parts for jet in phi), strict=True)))
 
 
 def stabilized_residual(T: Topology, data: Data, at: Placement, v, a, lam, drives: list[tuple | None], rate: Any):

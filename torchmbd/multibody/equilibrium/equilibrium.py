@@ -181,7 +181,7 @@ def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None 
 
 def _held(jet: Jet) -> Jet:
     """A law whose value stays constant from now on."""
-    return Jet(jet.value, 0.0 * jet.velocity, 0.0 * jet.acceleration)
+    return Jet(jet.value, *(0.0 * x for x in jet.parts[1:]))
 
 
 def vibrations(dynamics: Any) -> Vibrations:

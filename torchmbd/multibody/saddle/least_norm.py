@@ -19,7 +19,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, apply, cat, value, variation
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.equations import Data, Placement
@@ -76,7 +75,8 @@ class LeastNorm:
         if not isinstance(lam, Pair) and not torch.is_grad_enabled():
             return least
         # dJ mu and dJ' nu of the module header
-        dJ_mu, dJt_nu = variation(acting * _rates(self.T, data, at, mu)), variation(_forces(self.T, data, at, nu))
+        dJ_mu = variation(acting * equations.constraint_changes(self.T, at, data, mu))
+        dJt_nu = variation(_forces(self.T, data, at, nu))
         slopes = apply(P, variation(lam) - dJ_mu) + dJ_mu + apply(inverse.mT, dJt_nu)
         return Pair.of(least, slopes) if isinstance(lam, Pair) else least + slopes
 
@@ -94,15 +94,6 @@ class LeastNorm:
         U = U * independent[:, None] * self.acting[:, None]  # rows that do not act have rounding errors
         U = torch.where(failed, torch.nan, U)
         return (Vh.mT * torch.where(independent, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
-
-
-def _rates(T: Topology, data: Data, at: Placement, mu: Tensor) -> Tensor:
-    """Phi_q mu [rows, ...], mu [n_v, 1, lanes] held fixed."""
-    drives: list[tuple | None] = [
-        drive and tuple(Jet(x, 0.0 * x, 0.0 * x) for x in drive[: p.driven])
-        for p, drive in zip(T.primitives, at.drives, strict=True)
-    ]
-    return equations.driven_jets(T, at, data, mu, torch.zeros_like(mu), drives).velocity
 
 
 def _forces(T: Topology, data: Data, at: Placement, nu: Tensor) -> Tensor:

@@ -359,7 +359,7 @@ class _Joints:
         """Phi' = J v + Phi_t [rows, ...]."""
         T, data = self.dynamics.topology, self.dynamics.data
         v = self.of_base_points(v)
-        return equations.constraint_jets(T, self.at, data, v, torch.zeros_like(value(v)), self.t).velocity
+        return equations.constraint_rates(T, self.at, data, v, self.t)
 
     def of_base_points(self, v: Any) -> Any:
         """Rates v [n_v, ...] with velocities of base points."""

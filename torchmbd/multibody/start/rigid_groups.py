@@ -76,11 +76,7 @@ class RigidGroups:
         inverse = Vh.mT @ (torch.where(s > _RANK * s[:, :1], 1.0 / s, 0.0)[..., None] * U.mT)
         phi = equations.constraints(T, at)
         y = -apply(inverse, value(phi).detach())
-        still = torch.zeros_like(value(self._rates(q, y)))
-        of_y, of_zero = (
-            equations.constraint_jets(T, at, data, v, still, t).velocity for v in (self._rates(q, y), still)
-        )
-        residual = phi + of_y - of_zero
+        residual = phi + equations.constraint_changes(T, at, data, self._rates(q, y))
         forces = self._forces(q, equations.constraint_forces(T, data, at, apply(inverse.mT, y)))
         turned = linear(lambda u: u - apply(inverse, apply(J, u)), forces)
         y = y + turned - linear(lambda x: apply(inverse, x), residual)

@@ -294,8 +294,7 @@ class SaddleSolver:
     """Solutions with the saddle-point matrix at coordinates q [n_q, ...] and time t: several of them share its factors."""
 
     def __init__(self, dynamics: Dynamics, t: Tensor, q: Any):
-        self.data, self.q, T = dynamics.data, q, dynamics.topology
-        self.size = T.n_v + T.rows
+        self.data, self.q, self.topology = dynamics.data, q, (T := dynamics.topology)
         self.plain = {name: value(y) for name, y in dynamics.data.items()}
         self.inputs = [y for y in (t, value(q), *self.plain.values()) if is_differentiated(y)]
         self.at = equations.placement(T, dynamics.data, q, T.prescribed(t, dynamics.data))
@@ -309,11 +308,46 @@ class SaddleSolver:
         The residual is linear in x, and its matrix is the saddle-point matrix. Differentiable in every mode: derivatives of x
         are solutions with the same matrix and the derivatives of the residual at fixed x.
         """
+
+        def at_zero(data: Data, at: equations.Placement, q: Tensor, *numbers: Any) -> Tensor:
+            return residual(data, at, q, *numbers, q.new_zeros(self.topology.n_v + self.topology.rows, *q.shape[1:]))
+
+        return self._solution(at_zero, residual, arguments)
+
+    def along_constraints(self, *changes: Callable[..., Any], of: Sequence[Any]) -> list[Any]:
+        """y [n_v, ...] along M^-1 Phi_q' with Phi_q (y - y0) = r, for each function of changes.
+
+        They give y0 [n_v, ...] and r [rows, ...] as functions of data, placement, q and the numbers `of`.
+        """
+        if isinstance(self.q, Pair) and len(changes) > 1:
+            return [y for function in changes for y in self.along_constraints(function, of=of)]
+        T = self.topology
+
+        def known(*numbers: Any) -> tuple[Any, Any]:
+            """y0 and r of all, side by side in place of tangents."""
+            parts = zip(*(function(*numbers) for function in changes), strict=True)
+            y0, r = (cat(list(part), -2) if len(changes) > 1 else part[0] for part in parts)
+            return y0, r
+
+        def at_zero(data: Data, at: equations.Placement, *numbers: Any) -> Tensor:
+            y0, r = known(data, at, *numbers)
+            return torch.cat([torch.zeros_like(y0), -equations.constraint_changes(T, at, data, y0) - r])
+
+        def residual(data: Data, at: equations.Placement, q: Any, *numbers: Any) -> Any:
+            y, mu = numbers[-1][: T.n_v], numbers[-1][T.n_v :]
+            y0, r = known(data, at, q, *numbers[:-1])
+            rows = equations.constraint_changes(T, at, data, y - y0) - r
+            return cat([equations.impulses(T, data, at, y, mu), rows])
+
+        y = self._solution(at_zero, residual, of)[: T.n_v]
+        return [y] if isinstance(y, Pair) else list(y.split(1, -2))
+
+    def _solution(self, at_zero: Callable[..., Tensor], residual: Callable[..., Any], arguments: Sequence[Any]) -> Any:
+        """As `__call__`; at_zero: the values of the residual where x is zero, as a function of its other arguments."""
         plain, q = [y if y is None else value(y) for y in arguments], value(self.q)
         inputs = [*self.inputs, *(y for y in plain if y is not None and is_differentiated(y))]
         with torch.set_grad_enabled(torch.is_grad_enabled() and not inputs):
-            zero = q.new_zeros(self.size, *q.shape[1:])
-            x = -self.factors.solve(residual(self.plain, self.fixed, q, *plain, zero), inputs).detach()
+            x = -self.factors.solve(at_zero(self.plain, self.fixed, q, *plain), inputs).detach()
         if not inputs and not isinstance(self.q, Pair):
             return x
         slopes = -self.factors.solve(variation(residual(self.data, self.at, self.q, *arguments, x)), inputs)
