@@ -113,12 +113,8 @@ def test_multipliers_are_of_second_order_from_the_start(method):
     for steps in (100, 400):
         motion = mbd.simulate(pendulum(speed=4.0), 0.3, method, steps=steps, gradients="none")
         errors.append(pull_error(motion, 0.0))
-        assert_close(
-            motion.body("bob").at().velocity[0, :1],
-            torch.tensor([[0.0, 0.0, 4.0]], dtype=torch.float64),
-            rtol=0,
-            atol=1e-13,
-        )
+        velocity = motion.body("bob").at().velocity[0, 0].tolist()
+        assert velocity == pytest.approx([0.0, 0.0, 4.0], abs=1e-13)
     assert errors[1] < 0.1 * errors[0]  # a quarter where multipliers are of first order
 
 
