@@ -23,7 +23,7 @@ def mark_gains(motion: Trajectory) -> None:
     """
     T, errors = motion.dynamics.topology, motion.stats.get("step_error")
     driven = any(p.driven for p in T.primitives) or len(T.actions) > 0
-    if not motion.switches or errors is None or driven or not (T.flexible or T.beams is not None):
+    if not motion.switches or errors is None or driven or not (T.flexible or T.has_fast_elements):
         return
     lanes = [k for k, status in enumerate(motion.status) if status == OK and float(errors[k]) > GOOD_STEP]
     if not lanes:

@@ -38,7 +38,7 @@ _EQUAL = 1e-6  # of a step: rounding of times
 def mark_vibrations(motion: Trajectory) -> None:
     """Set the status of lanes of a motion of values whose equal steps do not resolve the vibrations of rigid bodies."""
     T, h = motion.dynamics.topology, motion.stats.get("step_size")
-    if h is None or T.flexible or T.beams is not None or not T.actions or len(motion.t) - 1 != motion.stats["steps"]:
+    if h is None or T.flexible or T.has_fast_elements or not T.actions or len(motion.t) - 1 != motion.stats["steps"]:
         return
     lanes, halved = [k for k, status in enumerate(motion.status) if status == OK], motion.stats.get("halved", ())
     if len(lanes) > len(halved):

@@ -37,7 +37,7 @@ class StepEstimates:
         self.iterations = IterationErrors(dynamics.lanes, duration, self.h)
         self.turn = torch.zeros(steps + 1, dynamics.lanes, dtype=torch.float64)
         self.alternation: Tensor | None = None
-        if dynamics.topology.beams is not None:
+        if dynamics.topology.has_fast_elements:
             self.alternation = torch.zeros(2, steps + 1, dynamics.lanes, dtype=torch.float64)
 
     def update(self, first: int, states: History, errors: Tensor, counted: Tensor | None = None) -> None:

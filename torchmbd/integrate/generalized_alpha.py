@@ -39,7 +39,7 @@ class GeneralizedAlpha(OneStep):
             raise InputError("spectral_radius", rho, "0 (strong damping) to 1 (none)")
 
     def with_defaults(self, topology: Topology) -> GeneralizedAlpha:
-        if self.spectral_radius is None and topology.beams is not None:
+        if self.spectral_radius is None and topology.has_fast_elements:
             return replace(self, spectral_radius=_OF_BEAMS)
         return self
 

@@ -27,7 +27,7 @@ from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.statistics import Statistics
-from torchmbd.multibody.equations.equations import Data
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.topology import Schedule, Topology
 from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
 from torchmbd.results.history import History, Record

@@ -95,12 +95,12 @@ class OneStep(Integrator):
     def stepper(self, dynamics: Dynamics, h: float) -> EagerStepper:
         refresh = self.refresh
         if refresh is None:
-            refresh = 1 if dynamics.topology.beams is None or dynamics.tangents else 2
+            refresh = 2 if dynamics.topology.has_fast_elements and not dynamics.tangents else 1
         return backend_of(dynamics).stepper(dynamics, self.weights(h), self.counts(dynamics), refresh)
 
     def counts(self, dynamics: Dynamics) -> tuple[int, int]:
         """Corrections of values and tangents for a system."""
-        return self.iterations or (_ITERATIONS if dynamics.topology.beams is None else _OF_BEAMS)
+        return self.iterations or (_OF_BEAMS if dynamics.topology.has_fast_elements else _ITERATIONS)
 
     def step_of_size(self, dynamics: Dynamics, x: State, h: Any, t1: Any, near: State | None = None) -> State:
         return step_of_size(dynamics, self.weights, x, h, t1, near)

@@ -34,7 +34,7 @@ from torchmbd.integrate.lane_status import (
 )
 from torchmbd.integrate.lanes import pick_lanes, put_lanes
 from torchmbd.integrate.statistics import Statistics
-from torchmbd.multibody.equations.equations import ATTACHED, Data
+from torchmbd.multibody.equations.data import ATTACHED, Data
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History, RefinedLane
 from torchmbd.results.motion_data import Switch, has_failed

@@ -36,7 +36,8 @@ from torchmbd.integrate.step import Weights
 from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import cat, cross, linear
 from torchmbd.multibody.equations import equations
-from torchmbd.multibody.equations.equations import Data, Placement
+from torchmbd.multibody.equations.data import Data
+from torchmbd.multibody.equations.equations import Placement
 from torchmbd.multibody.equations.times_as_lanes import at_own_times, at_time
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver

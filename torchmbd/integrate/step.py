@@ -24,6 +24,7 @@ from torch import Tensor
 from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, apply, cat, combine, value
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.topology import Prescribed, Topology
 from torchmbd.multibody.saddle.blocks import Slopes
 from torchmbd.multibody.saddle.elimination import Eliminated, Factored
@@ -172,7 +173,7 @@ class Step:
 class Model:
     """Equations, weights and data that all steps of a simulation share; a backend may trace its steps."""
 
-    def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: equations.Data):
+    def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: Data):
         self.T, self.saddle, self.w, self.data = T, saddle, w, data
         self.plain = w.values()
         self.values = {name: value(y) for name, y in data.items()}

@@ -129,7 +129,7 @@ def _alternates(result: IntegrationResult, h: float) -> bool:
     """True if accelerations of rigid bodies under forces change their sign from step to step, as of vibrations on springs."""
     history, dynamics = result.history, result.history.run.recorded.values()
     T = dynamics.topology
-    if T.flexible or T.beams is not None or not T.actions or not T.bodies:
+    if T.flexible or T.has_fast_elements or not T.actions or not T.bodies:
         return False
     accelerations, places = history.vd[:, :, 0].permute(2, 0, 1), history.q[:, : 3 * T.bodies, 0]
     change, size = rigid_alternations(dynamics, accelerations, places.abs().amax(), h)

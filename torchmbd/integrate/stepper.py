@@ -61,7 +61,7 @@ class EagerStepper(Stepper):
         self.negligible = negligible(dynamics)
         self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
         # A node of a beam that is let go accelerates for much less than a step; other accelerations are good estimates.
-        self.begins_uniformly = refresh == 0 and dynamics.topology.beams is not None
+        self.begins_uniformly = refresh == 0 and dynamics.topology.has_fast_elements
         self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
         self.H: Any = None
         self.K = mass.new_zeros(0)  # the matrices of which H are factors

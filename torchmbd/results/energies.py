@@ -27,6 +27,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.gradients import in_transform, is_differentiated
 from torchmbd.math.pair import dot, matvec, value
 from torchmbd.multibody.equations import beams, equations
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.moments import bent_stiffness, moments
 from torchmbd.multibody.equations.times_as_lanes import as_lanes
 from torchmbd.multibody.equations.topology import Topology
@@ -135,7 +136,7 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     return [(x + valid)[outputs] for x in (*(e[0] for e in energy), *works, lost)]
 
 
-def _potential(motion: MotionData, data: equations.Data, at: equations.Placement, q: Tensor) -> Tensor:
+def _potential(motion: MotionData, data: Data, at: equations.Placement, q: Tensor) -> Tensor:
     T = motion.dynamics.topology
     if "gravity" not in data:
         return torch.zeros_like(q[0])
@@ -144,7 +145,7 @@ def _potential(motion: MotionData, data: equations.Data, at: equations.Placement
     return -(weight * data["gravity"]).sum((0, 1))
 
 
-def _applied(motion: MotionData, data: equations.Data, at: equations.Placement, v: Tensor, phase: Tensor) -> Tensor:
+def _applied(motion: MotionData, data: Data, at: equations.Placement, v: Tensor, phase: Tensor) -> Tensor:
     """Power of the applied forces [1, n]: generalized forces times rates; `phase`: number of the phase at each time."""
     T, power = motion.dynamics.topology, torch.zeros_like(v[0])
     for k, actions in enumerate(motion.actions or (T.actions,) * (1 + len(motion.switches))):  # of each phase
@@ -156,7 +157,7 @@ def _applied(motion: MotionData, data: equations.Data, at: equations.Placement, 
     return power
 
 
-def _driven(T: Topology, data: equations.Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
+def _driven(T: Topology, data: Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
     """Power of the drives lam . dPhi/dt [1, n]: constraints without laws do no work."""
     power = torch.zeros_like(q[0])
     if not any(p.prescribes for p in T.primitives):

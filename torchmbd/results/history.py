@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.row_selection import select_rows
-from torchmbd.multibody.equations.equations import Data
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.saddle.least_norm import LeastNorm
 from torchmbd.results.state import State

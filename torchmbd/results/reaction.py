@@ -21,6 +21,7 @@ from torchmbd.math.rotation import exponential, rotation_matrix
 from torchmbd.multibody.bodies import Frame, Ground
 from torchmbd.multibody.bodies.rigid import same_body
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.data import ATTACHED, Data
 from torchmbd.multibody.equations.times_as_lanes import as_lanes
 from torchmbd.multibody.joints.joint import Joint
 from torchmbd.multibody.joints.lock import Lock
@@ -120,11 +121,11 @@ def frame_axes(motion: MotionData, frame: Frame) -> Tensor:
     return view.A @ elastic.movedim((0, 1), (-2, -1)) @ triad_of(motion, frame)
 
 
-def placement_at_times(motion: MotionData) -> tuple[equations.Data, equations.Placement]:
+def placement_at_times(motion: MotionData) -> tuple[Data, equations.Placement]:
     """Data of attached vectors and laws of forces, and the placement of bodies, with lanes x times as lanes."""
     T, data = motion.dynamics.topology, motion.dynamics.data
     lanes, times = motion.lanes, len(motion.t)
-    vectors = {key: value(x) for key, x in data.items() if key in equations.ATTACHED or key.startswith("law ")}
+    vectors = {key: value(x) for key, x in data.items() if key in ATTACHED or key.startswith("law ")}
     wide = {key: x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x for key, x in vectors.items()}
     schedule = T.schedule(motion.t, {name: value(x) for name, x in data.items()})
     prescribed = as_lanes(schedule, lanes, lanes_first=True)._replace(t=motion.t.repeat(lanes))

@@ -32,7 +32,7 @@ def unknowns(dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
     values = values if len(values) == len(state) else values.expand(len(state), -1, -1, -1).contiguous()  # of one lane
     prescribed, moved = (blocks(x) for x in _prescribed(step, lanes))
     numbers = {"lanes": lanes, "data": values.shape[2], "prescribed": prescribed.shape[2], "first": 1, "steps": 1}
-    numbers |= {"corrections": _CORRECTIONS, "refresh": 0 if T.beams is None else -1, "fresh": 1}
+    numbers |= {"corrections": _CORRECTIONS, "refresh": -1 if T.has_fast_elements else 0, "fresh": 1}
     numbers |= {"moving": moved.shape[2], "tables": len(prescribed)}
     rows = {"q": T.n_q, "v": T.n_v, "vd": T.n_v, "lam": T.rows, "sizes": 3}
     arrays: dict[str, Tensor | None] = {name: new(n, lanes, dtype=torch.float64) for name, n in rows.items()}

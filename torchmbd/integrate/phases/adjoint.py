@@ -47,7 +47,7 @@ from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.variable_step import on_the_way, shortly_after, step_to
-from torchmbd.multibody.equations.equations import ATTACHED, Data
+from torchmbd.multibody.equations.data import ATTACHED, Data
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History

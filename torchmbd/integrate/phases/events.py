@@ -29,6 +29,7 @@ from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.row_selection import select_rows
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.times_as_lanes import at_time, over_times
 from torchmbd.multibody.equations.topology import Prescribed
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -231,7 +232,7 @@ class _Instants(IntegratedSignals):
         """Accelerations and multipliers [times, n, 1, lanes], as in `Instant`."""
         dynamics, T, lanes = self.dynamics, self.dynamics.topology, self.lanes
 
-        def solution(data: equations.Data, excitation: Prescribed, q: Tensor, v: Tensor) -> Tensor:
+        def solution(data: Data, excitation: Prescribed, q: Tensor, v: Tensor) -> Tensor:
             t = excitation.t.repeat_interleave(lanes)
             return torch.cat(dynamics.with_data(data).unstabilized_accelerations(t, q, v))
 

@@ -33,6 +33,7 @@ from torchmbd.integrate.prepared import Prepared, detached, of_leaves, prepare, 
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.times_as_lanes import at_own_times, at_time
 from torchmbd.multibody.saddle import reactions
 from torchmbd.multibody.saddle.expansion import Expansion
@@ -164,7 +165,7 @@ class MultiphaseRun:
         states = History(*(x[rows] for x in self.states.parts), expansion=self._expansion(self.kept_times[rows]))
         return states.rows(0), states.rows(1)
 
-    def multipliers(self, history: History, data: equations.Data | None = None) -> Tensor:
+    def multipliers(self, history: History, data: Data | None = None) -> Tensor:
         """Multipliers of all rows [times, rows, pair, lanes] of states; of redundant ones those of least norm.
 
         data   instead of those of the whole
@@ -295,7 +296,7 @@ class MultiphaseRun:
         data = lanes_of(self.whole, lanes).data
         return put_lanes(lam, lanes, self.all_multipliers(number, data, pick_lanes(t, lanes), pick_states(x, lanes)))
 
-    def all_multipliers(self, number: int, data: equations.Data, t: Any, x: State) -> Any:
+    def all_multipliers(self, number: int, data: Data, t: Any, x: State) -> Any:
         """Multipliers of all rows from those of a phase or of its condensed system, of redundant ones those of least norm."""
         least, c = self.least_norm(number), self.segments[number].condensation
         lam = reactions.multipliers_at(c, data, t, x.q, x.v, x.vd, x.lam)
@@ -365,7 +366,7 @@ class MultiphaseRun:
         good = torch.tensor([not reason for reason in self.failures])
         return torch.isfinite(value(phase_exit.t)[0]) & good
 
-    def end_times(self, segment: Segment, t: Any, data: equations.Data) -> Any:
+    def end_times(self, segment: Segment, t: Any, data: Data) -> Any:
         """Times [1 + n_b, lanes] at which a phase that begins at t ends; None where an event or the simulation ends it."""
         length, until = segment.phase.length, segment.phase.end_time
         number = length if until is None else until

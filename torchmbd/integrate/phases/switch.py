@@ -26,6 +26,7 @@ from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.gradients import refuse_lost_gradients
 from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.data import ATTACHED, Data
 from torchmbd.multibody.equations.times_as_lanes import at_time
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.joints.lock import Lock
@@ -60,7 +61,7 @@ class InitialState:
         return self.q, self.v
 
 
-def data_with_marks(T: Topology, data: equations.Data, q: Any, locks: Sequence[Lock]) -> equations.Data:
+def data_with_marks(T: Topology, data: Data, q: Any, locks: Sequence[Lock]) -> Data:
     """The data with the marks of locks as the coordinates q [n_q, ...] have them: points and axes that a lock holds."""
     if not locks:
         return data
@@ -94,12 +95,10 @@ def _solve(B: Any, y: Any) -> Any:
     return Pair.of(x, times((y - matvec(B, x)).tangent))
 
 
-def _set_vector(
-    data: equations.Data, T: Topology, index: int, axes: list[int], c: Any, origin: int | None
-) -> equations.Data:
+def _set_vector(data: Data, T: Topology, index: int, axes: list[int], c: Any, origin: int | None) -> Data:
     """Set an attached vector to c_1 axes_1 + c_2 axes_2 + c_3 axes_3, from the vector `origin` if there is one."""
     data = dict(data)
-    for name, axis in equations.ATTACHED.items():
+    for name, axis in ATTACHED.items():
         if name not in data or (name != "x" and index >= T.attached_flexible):
             continue
         x = data[name]
@@ -146,7 +145,7 @@ def _velocity_change(solver: SaddleSolver, dynamics: Dynamics, t: Tensor, impuls
     """
     T = dynamics.topology
 
-    def residual(data: equations.Data, at: equations.Placement, q: Any, impulse: Any, v: Any, x: Tensor) -> Any:
+    def residual(data: Data, at: equations.Placement, q: Any, impulse: Any, v: Any, x: Tensor) -> Any:
         dv, Lam = x[: T.n_v], x[T.n_v :]
         forces = equations.impulses(T, data, at, dv, Lam)
         forces = forces if impulse is None else forces - impulse

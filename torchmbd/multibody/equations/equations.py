@@ -45,11 +45,9 @@ from torchmbd.math.jet import Jet
 from torchmbd.math.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t, value
 from torchmbd.math.rotation import axial, euler_rates, exponential, quaternion_product, rotation_matrix, skew
 from torchmbd.multibody.equations import beams, turns
-from torchmbd.multibody.equations.moments import Data, bent_stiffness, frame_terms, moments
+from torchmbd.multibody.equations.data import Data
+from torchmbd.multibody.equations.moments import bent_stiffness, frame_terms, moments
 from torchmbd.multibody.equations.topology import Prescribed, Topology
-
-INERTIA = {"mass": 0, "S0": 1, "P0": 2, "mu": 0}  # data of every body and their tensor rank
-ATTACHED = {"x": 1, "Y": 2, "E": 3}  # data of attached vectors and the axis of these
 
 
 @dataclass

@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from torchmbd.math.pair import cat, contract, matmul, matvec
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.topology import Topology
-
-Data = dict[str, Any]  # name -> tensor or pair, [component..., 1, lanes]
 
 
 class Moments(NamedTuple):

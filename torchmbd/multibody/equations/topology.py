@@ -168,6 +168,11 @@ class Topology:
     def rows(self) -> int:
         return len(self.row_names)
 
+    @property
+    def has_fast_elements(self) -> bool:
+        """True if elements of exact beams act: their axial vibrations, and nodes that are let go, are faster than steps."""
+        return self.beams is not None
+
     def arguments(self, g: Any) -> list[list[Any]]:
         """The vectors [3, n, ...] of each primitive's arguments, out of all attached vectors: one gather."""
         return _arguments(g.index_select(1, self.argument_vectors), self.primitives)

@@ -29,6 +29,7 @@ from torch import Tensor
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import apply, cat, dot, linear, value
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equilibrium.linearized import NEGATIVE_MASS, Linearization, Vibrations
 from torchmbd.multibody.equilibrium.load_steps import LoadSteps
 from torchmbd.multibody.equilibrium.steady_rotation import SteadyRotation
@@ -142,7 +143,7 @@ def _sweep(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | N
     return [balances[lane] for lane in range([*sure, False].index(False))]
 
 
-def _at_spin(rotation: SteadyRotation | None, data: equations.Data) -> SteadyRotation | None:
+def _at_spin(rotation: SteadyRotation | None, data: Data) -> SteadyRotation | None:
     """The rotation at the spin that is among the data."""
     return rotation and rotation.of_spin(data[SPIN])
 
@@ -168,7 +169,7 @@ def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None 
     T = dynamics.topology
     still = value(q).new_zeros(T.n_v, 1, value(q).shape[-1])
 
-    def residual(data: equations.Data, at: equations.Placement, q: Any, x: Tensor) -> Any:
+    def residual(data: Data, at: equations.Placement, q: Any, x: Tensor) -> Any:
         drives, v = T.law_jets(t, data), still
         if rotation is None:
             drives = [drive and tuple(_held(jet) for jet in drive) for drive in drives]
@@ -202,7 +203,7 @@ def _find_equilibrium(
     """The equilibrium of dynamics of one lane near start [n_q]; all_around: look whether a rotation is steady."""
     T, q = dynamics.topology, start
     turning = rotation and rotation.turning
-    steps = LoadSteps(dynamics, start, t, turning) if T.beams is not None and not unstable else None
+    steps = LoadSteps(dynamics, start, t, turning) if T.has_fast_elements and not unstable else None
     if steps is not None and steps.stable:
         path = steps.run()
         if path.failure:
@@ -257,7 +258,7 @@ def _balance(
     return Balance(q, rest.lam, _inverse(rest), "", _instability(T, rest)), small
 
 
-def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
+def _mirrored(T: Any, data: Data, q: Tensor, t: Tensor) -> bool:
     """True if an axis is half a turn away from its prescribed angle, where the constraint is satisfied too."""
     at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
     for kind, vectors, drive in zip(T.primitives, at.arguments, at.drives, strict=True):

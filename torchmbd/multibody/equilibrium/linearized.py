@@ -25,6 +25,7 @@ from torchmbd.errors import DesignFailure
 from torchmbd.fem.reduction.padding import is_padding
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.topology import Prescribed, Topology
 from torchmbd.multibody.equilibrium.steady_rotation import Observer, ObserverAtRest, SteadyRotation
 from torchmbd.multibody.saddle.rank import RELATIVE
@@ -345,7 +346,7 @@ def _in_body_axes(T: Topology, at: Any, forces: Tensor) -> Any:
     return cat([forces[: 3 * n, None, None], torques, forces[6 * n :, None, None]])
 
 
-def unpadded_rates(T: Topology, data: equations.Data, lanes: int) -> list[Tensor]:
+def unpadded_rates(T: Topology, data: Data, lanes: int) -> list[Tensor]:
     """Rows of v of each lane but those that pad the modes of bodies and designs with fewer modes than others."""
     rigid = torch.arange(6 * T.bodies)
     if not T.flexible:

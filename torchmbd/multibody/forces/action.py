@@ -43,7 +43,7 @@ from torchmbd.multibody.forces.laws import Scaled, data_fields
 from torchmbd.multibody.forces.parametric_law import ParametricLaw
 
 Law = Callable[[Tensor, Tensor, Tensor], Tensor]
-Data = Mapping[str, Any]  # of a design: name -> number (multibody/equations/equations.py)
+Data = Mapping[str, Any]  # of a design (multibody/equations/data.py)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from torch import Tensor
 from torchmbd.math.pair import cat, cross, matmul, matvec, matvec_t
 from torchmbd.math.rotation import axial, increment_torque, skew
 from torchmbd.multibody.equations import beams
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.equations import (
     Placement,
     beam_rates,
@@ -29,7 +30,7 @@ from torchmbd.multibody.equations.equations import (
     turns_of_vectors,
 )
 from torchmbd.multibody.equations.index_maps import SegmentSum
-from torchmbd.multibody.equations.moments import Data, Moments, bent_stiffness, frame_terms, moments
+from torchmbd.multibody.equations.moments import Moments, bent_stiffness, frame_terms, moments
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.equations.unit_forces import Block, UnitForces
 

@@ -26,6 +26,7 @@ from torchmbd.math.pair import linear, value
 from torchmbd.math.rotation import rotation_matrix, skew
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.arrangement import assemble
+from torchmbd.multibody.equations.data import ATTACHED, INERTIA, Data
 from torchmbd.multibody.equations.prescribed_body import PrescribedBody
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.joints.primitive import Primitive, values_at
@@ -64,11 +65,11 @@ class Condensation:
         """Of the whole topology."""
         return Saddle(self.whole)
 
-    def data(self, data: equations.Data) -> equations.Data:
+    def data(self, data: Data) -> Data:
         """Data of the condensed system, out of those of the whole."""
         flexible = [i for i in self.vectors if i < self.whole.attached_flexible]
-        index = {name: (axis, self.vectors if name == "x" else flexible) for name, axis in equations.ATTACHED.items()}
-        index |= {name: (rank, self.bodies) for name, rank in equations.INERTIA.items()}
+        index = {name: (axis, self.vectors if name == "x" else flexible) for name, axis in ATTACHED.items()}
+        index |= {name: (rank, self.bodies) for name, rank in INERTIA.items()}
 
         def select(name: str, x: Any) -> Any:
             return (

@@ -23,7 +23,7 @@ _LARGE, _MANY = 90, 4  # least numbers of unknowns and bodies with which it was 
 
 def pays(T: Topology) -> bool:
     """True if elimination is possible and faster than a dense inverse."""
-    return not T.actions and T.beams is None and T.bodies >= _MANY and T.n_v + T.rows >= _LARGE
+    return not T.actions and not T.has_fast_elements and T.bodies >= _MANY and T.n_v + T.rows >= _LARGE
 
 
 class Elimination:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.row_selection import select_rows
-from torchmbd.multibody.equations.equations import Data
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.index_maps import SparseMap
 from torchmbd.multibody.saddle.condensation import Condensation, component_count, component_rows
 from torchmbd.multibody.saddle.reactions import multipliers

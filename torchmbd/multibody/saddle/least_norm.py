@@ -21,7 +21,8 @@ from torch import Tensor
 
 from torchmbd.math.pair import Pair, apply, cat, value, variation
 from torchmbd.multibody.equations import equations
-from torchmbd.multibody.equations.equations import Data, Placement
+from torchmbd.multibody.equations.data import Data
+from torchmbd.multibody.equations.equations import Placement
 from torchmbd.multibody.equations.times_as_lanes import at_own_times, over_times
 from torchmbd.multibody.equations.topology import Prescribed, Topology
 from torchmbd.multibody.saddle.matrix import Saddle

@@ -19,7 +19,8 @@ from torch.nn.functional import pad
 
 from torchmbd.math.pair import value
 from torchmbd.multibody.equations import beams
-from torchmbd.multibody.equations.equations import Data, Placement, action_states
+from torchmbd.multibody.equations.data import Data
+from torchmbd.multibody.equations.equations import Placement, action_states
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.equations.unit_forces import Block, unit_multipliers, unit_strengths
 from torchmbd.multibody.saddle.blocks import MASSES, SaddleBlocks, Slopes

@@ -30,6 +30,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.math.pair import value
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.times_as_lanes import as_lanes
 from torchmbd.multibody.equations.topology import Topology
 
@@ -223,7 +224,7 @@ def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
     return J / J.norm(dim=2, keepdim=True).clamp_min(torch.finfo(J.dtype).tiny)
 
 
-def first_finite_lane(data: equations.Data) -> int | None:
+def first_finite_lane(data: Data) -> int | None:
     """The first lane whose data are finite (those of a lock are nan in lanes that do not reach its phase); None: no lane."""
     finite = torch.ones(max(value(x).shape[-1] for x in data.values()), dtype=torch.bool)
     for x in data.values():

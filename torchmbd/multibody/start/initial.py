@@ -240,7 +240,7 @@ class InitialConditions:
                     dynamics.outside_transforms(self._warn_strained, unstrained, value(q).detach())
                 break
             s = -joints.correction(value(phi).detach())
-            residual = phi + joints.rates(s) - joints.rates(0.0 * s)
+            residual = phi + joints.changes(s)
             q = equations.advance(T, q, s + joints.jacobian_part(s) - joints.correction(residual))
         else:
             outside_transforms(self._refuse, value(phi))
@@ -360,6 +360,11 @@ class _Joints:
         T, data = self.dynamics.topology, self.dynamics.data
         v = self.of_base_points(v)
         return equations.constraint_rates(T, self.at, data, v, self.t)
+
+    def changes(self, v: Any) -> Any:
+        """J v [rows, ...]."""
+        dynamics = self.dynamics
+        return equations.constraint_changes(dynamics.topology, self.at, dynamics.data, self.of_base_points(v))
 
     def of_base_points(self, v: Any) -> Any:
         """Rates v [n_v, ...] with velocities of base points."""

@@ -33,7 +33,7 @@ from torchmbd.math.gradients import is_differentiated, untransformed, wraps
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, cat, linear, value, variation
 from torchmbd.multibody.equations import equations
-from torchmbd.multibody.equations.equations import Data
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.saddle.factors import Diagonal, regularized

@@ -28,7 +28,7 @@ from torchmbd.multibody.bodies.flexible_beam import BeamNode, FlexibleBeam
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, has_modal_start, register, vector_or_parameter
 from torchmbd.multibody.equations import arrangement
 from torchmbd.multibody.equations.beams import beam_data
-from torchmbd.multibody.equations.equations import INERTIA
+from torchmbd.multibody.equations.data import INERTIA
 from torchmbd.multibody.equations.modal_data import (
     frame_nodes,
     modal_data,
