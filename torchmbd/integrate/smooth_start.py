@@ -13,8 +13,11 @@ error of order h that changes its sign in every step and grows for some, while c
 
 Only the shares along M^-1 Phi_q' are needed, so the jerk is that of the constraints alone:
 
-    M v'' + Phi_q' mu = 0,   Phi_q v'' = 6/h^3 (Phi + h Phi' + h^2/2 Phi'' - Phi(q o exp(h v + h^2/2 v' + h^3/12 om x om')))
+    M v'' + Phi_q' mu = 0,   Phi_q (v'' - om x om') = 6/h^3 (Phi + h Phi' + h^2/2 Phi'' - Phi(q_h)) - 3/h Phi_q(q_h) v'
     d = (1/6 - D/2 - beta) v'' + e,   M e + Phi_q' nu = 0,   Phi_q e = Phi_q (om x om') / 12
+
+with q_h = q o exp(h v) at the time t + h. This is linear in v': so a vibration that the steps do not resolve, with h^2 v' beyond
+all lengths, does little harm.
 
 No force enters, and no vibration of a body: a frequency that the steps do not resolve gets no large acceleration.
 What a step itself leaves stays: of order h^2 in all numbers.
@@ -91,15 +94,14 @@ def smooth_start(
         T, solver = dynamics.topology, closed or SaddleSolver(dynamics, t, q)
 
         def of_third_rates(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any) -> tuple:
-            cube = h * h * h
-            step = h * v + (0.5 * h * h) * vd + ((1.0 / 12.0) * cube) * _turning(T, v, vd)
-            end = equations.placement(T, data, equations.advance(T, q, step), at_own_times(T, t[None] + h, data))
+            end = equations.placement(T, data, equations.advance(T, q, h * v), at_own_times(T, t[None] + h, data))
             if closed is None:  # what a step leaves of the rates is no third rate
                 phi = equations.constraint_jets(T, at, data, v, vd, t)
                 known = phi.value + h * phi.velocity + (0.5 * h * h) * phi.acceleration
             else:
                 known = equations.constraints(T, at)
-            return linear(torch.zeros_like, v), (6.0 * reciprocal(cube)) * (known - equations.constraints(T, end))
+            by_vd = (3.0 * reciprocal(h)) * equations.constraint_changes(T, end, data, vd)
+            return _turning(T, v, vd), (6.0 * reciprocal(h * h * h)) * (known - equations.constraints(T, end)) - by_vd
 
         def of_turning(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any) -> tuple:
             return (1.0 / 12.0) * _turning(T, v, vd), linear(torch.zeros_like, equations.constraints(T, at))
