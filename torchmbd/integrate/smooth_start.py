@@ -16,10 +16,8 @@ Only the shares along M^-1 Phi_q' are needed, so the jerk is that of the constra
     M v'' + Phi_q' mu = 0,   Phi_q (v'' - om x om') = 6/h^3 (Phi + h Phi' + h^2/2 Phi'' - Phi(q_h)) - 3/h Phi_q(q_h) v'
     d = (1/6 - D/2 - beta) v'' + e,   M e + Phi_q' nu = 0,   Phi_q e = Phi_q (om x om') / 12
 
-with q_h = q o exp(h v) at the time t + h. This is linear in v': so a vibration that the steps do not resolve, with h^2 v' beyond
-all lengths, does little harm.
-
-No force enters, and no vibration of a body: a frequency that the steps do not resolve gets no large acceleration.
+with q_h = q o exp(h v) at t + h. No force enters, and it is linear in v': vibrations that the steps do not resolve, with
+h^2 v' beyond all lengths, get no large jerk.
 What a step itself leaves stays: of order h^2 in all numbers.
 Source: Arnold and Bruels, Multibody Syst. Dyn. 18 (2007) 185-202 (a at the start); Arnold, Bruels, Cardona, Numer. Math. 129
 (2015) 149-179 (order of the multipliers, rates at the start).
