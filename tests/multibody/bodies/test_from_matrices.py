@@ -244,7 +244,7 @@ WRONG = {
     "not finite": (lambda M, K: {"K": _changed(K, 2, 2, np.nan)}, r"not finite"),
     "words": (
         lambda M, K: {"K": "nowhere.mtx"},
-        r"arm.K is 'nowhere.mtx'; allowed: numbers, such as mbd.read",
+        r"arm.K is 'nowhere.mtx'; allowed: numbers, such as mbd.io.read_matrix",
     ),
     "modes": (lambda M, K: {"modes": 99}, r"arm.modes is 99; allowed: a whole number up to 36"),
     "shapes": (
