@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.refused import warned
+from torchmbd.diagnosis.repetition import finer_count
 from torchmbd.extensions.identification.step_error import SHARE, StepError, finer_steps, step_error
 
 X = mbd.Position("bob", "x")
@@ -50,6 +52,15 @@ def test_steps_follow_from_the_noise(compiled):
     assert fit.converged
     assert fit.step_error.meets
     assert (np.abs(fit.x - TRUTH) < 3.0 * fit.deviation).all()
+
+
+@pytest.mark.parametrize(("steps", "multiple"), [(500, 1), (500, 20), (12, 4), (7, 7)])
+def test_finer_steps_share_no_factor_but_the_one_that_they_must(steps, multiple):
+    """A load whose period divides a step shows one value in both motions otherwise, and no error is seen."""
+    for factor in (2, 4):
+        finer = finer_count(steps, multiple, factor)
+        assert math.gcd(finer, steps) == multiple
+        assert factor * steps <= finer <= (factor + 2) * steps + multiple
 
 
 @pytest.mark.thorough
