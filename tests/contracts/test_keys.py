@@ -194,7 +194,10 @@ KINDS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
     "worst": (lambda: mbd.optimization.RobustProblem(swing(), 50.0, "worst"), {}),
     "scenarios": (partial(swing, mbd.Scenarios, variables=[GJ], scenarios=[{"system": bar()}, {}]), {}),
     "min-max": (partial(swing, minimize=mbd.AtTimes(LAG, count=5), bound=(1.0, 100.0)), {}),
-    "aggregate": (partial(swing, subject_to=mbd.Aggregate([mbd.AtTimes(LAG, count=5), mbd.Max(LAG)]) <= 1.0), {}),
+    "aggregate": (
+        partial(swing, subject_to=mbd.Aggregate([mbd.AtTimes(LAG, count=5), mbd.Max(LAG)], scale=1.0) <= 1.0),
+        {},
+    ),
     "phases": (partial(swing, phases=[mbd.Phase(until=0.004, lock=["hinge"]), mbd.Phase()]), {}),
     "discrete": (swing, {"increments": {GJ: 100.0}}),
     "tradeoff": (partial(swing, mbd.Tradeoff, minimize={"energy": ENERGY, "frequency": -mbd.Frequency("arm")}), {}),

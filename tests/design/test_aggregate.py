@@ -90,9 +90,12 @@ def test_scenarios_are_aggregated_by_their_largest():
         (lambda: mbd.Aggregate(LAG), "measures"),
         (lambda: mbd.Aggregate([]), "measures"),
         (lambda: mbd.Aggregate(ROWS, "max"), "kind"),
-        (lambda: mbd.Aggregate(ROWS, sharpness=0.0), "sharpness"),
+        (lambda: mbd.Aggregate(ROWS, sharpness=0.0, scale=1.0), "sharpness"),
+        (lambda: mbd.Aggregate(ROWS), "scale"),
+        (lambda: mbd.Aggregate(ROWS, scale=-1.0), "scale"),
+        (lambda: mbd.SmoothMax(LAG), "scale"),
         (lambda: mbd.Aggregate(ROWS, "p_norm", scale=2.0), "scale"),
-        (lambda: mbd.sharpen(problem("ks", 9.0), tolerance=-1.0), "tolerance"),
+        (lambda: mbd.sharpen(problem("ks", 9.0, scale=1e-3), tolerance=-1.0), "tolerance"),
         (lambda: mbd.sharpen("mine"), "problem"),  # pyright: ignore[reportArgumentType]
     ],
 )
@@ -111,3 +114,9 @@ def test_rows_below_zero_count_as_nothing_in_a_norm(motion):
     below = mbd.Aggregate([mbd.Max(LAG), mbd.Min(LAG) - 1.0], "p_norm", 2.0)
     assert float(below(motion)) == pytest.approx(float(mbd.Max(LAG)(motion)), rel=1e-12)
     assert torch.isfinite(below(motion)).all()
+
+
+def test_a_norm_of_rows_that_are_all_below_zero_is_refused(motion):
+    """It would be zero without a gradient."""
+    with pytest.raises(mbd.DesignFailure, match="largest row of design 1 is not positive"):
+        mbd.Aggregate([mbd.Max(LAG) - 1.0, mbd.Min(LAG) - 1.0], "p_norm", 2.0)(motion)

@@ -273,7 +273,7 @@ def test_bad_input_is_refused_at_the_door(given, words):
         (lambda: mbd.Max(ENERGY, window=(0.3, 0.1)), "window is (0.3, 0.1); allowed: 0 <= t0 < t1"),
         (lambda: mbd.Max(ENERGY, window=0.3), "window is 0.3; allowed: two times"),
         (lambda: mbd.Max(mbd.Max(ENERGY)), "history of Max is Max("),
-        (lambda: SmoothMax(ENERGY, sharpness=0.0), "sharpness is 0.0; allowed: a positive number"),
+        (lambda: SmoothMax(ENERGY, sharpness=0.0, scale=1.0), "sharpness is 0.0; allowed: a positive number"),
         (lambda: WeightedSum([]), "terms is []; allowed: pairs"),
         (lambda: WeightedSum([(1.0, AtPeaks(ENERGY))]), "measures of one number"),
         (lambda: WeightedSum([("1", mbd.Max(ENERGY))]), "Measure.factor is '1'"),

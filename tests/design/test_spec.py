@@ -61,7 +61,10 @@ def words(spec, bodies: bool = True) -> str:
             {"aggregate": [{"max": {"strain_energy": "rod"}}, {"mass": "rod"}], "kind": "p_norm", "sharpness": 9.0},
             Aggregate([Max(ENERGY), Mass("rod")], "p_norm", 9.0),
         ),
-        ({"aggregate": {"at_times": {"strain_energy": "rod"}, "count": 7}}, Aggregate(AtTimes(ENERGY, None, 7))),
+        (
+            {"aggregate": {"at_times": {"strain_energy": "rod"}, "count": 7}, "scale": 0.1},
+            Aggregate(AtTimes(ENERGY, None, 7), scale=0.1),
+        ),
         ({"smooth_max": {"strain_energy": "rod"}, "sharpness": 9.0, "scale": 2.0}, SmoothMax(ENERGY, None, 9.0, 2.0)),
         ({"time": 0.02, "at_time": TWIST_SPEC}, AtTime(TWIST, 0.02)),
         ({"integral": {"squared": TWIST_SPEC}}, mbd.Integral(TWIST**2)),

@@ -19,10 +19,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchmbd.design.response import Measure
-from torchmbd.errors import InputError, unknown
+from torchmbd.design.response import Measure, check_scale
+from torchmbd.errors import DesignFailure, InputError, unknown
 from torchmbd.integrate import Trajectory
 from torchmbd.math.checked_numbers import list_of, scalar
+from torchmbd.math.gradients import untransformed
 
 KINDS = ("ks", "p_norm")
 
@@ -34,7 +35,7 @@ class Aggregate(Measure):
     measures   a measure, as AtTimes with many rows, or several in one unit
     kind       "ks" (Kreisselmeier-Steinhauser), or "p_norm", which requires that the largest row is positive
     sharpness  rho or p, positive: the larger, the nearer to the largest row, and the less smooth [-]
-    scale      c of "ks", positive: the size of the rows, in their unit; "p_norm" does not use it
+    scale      c of "ks", positive: the size of the rows, in their unit; None for "p_norm", which does not use it
 
     `largest(motion)` is the largest row itself.
     Source: Kreisselmeier and Steinhauser (1979).
@@ -49,7 +50,7 @@ class Aggregate(Measure):
     measures: Measure | Sequence[Measure]
     kind: str = "ks"
     sharpness: float = 50.0
-    scale: float = 1.0
+    scale: float | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.measures, Measure):
@@ -58,11 +59,12 @@ class Aggregate(Measure):
             raise InputError("measures", allowed="a measure, or at least one in a list", state="is []")
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise unknown("kind", self.kind, KINDS)
-        for name, x in (("sharpness", self.sharpness), ("scale", self.scale)):
-            if scalar(name, x, "a positive number") <= 0.0:
-                raise InputError(name, x, "a positive number")
-        if self.kind == "p_norm" and self.scale != 1.0:
-            raise InputError("scale", self.scale, "1.0", state=f"is {self.scale!r} but kind 'p_norm' does not use it")
+        if scalar("sharpness", self.sharpness, "a positive number") <= 0.0:
+            raise InputError("sharpness", self.sharpness, "a positive number")
+        if self.kind == "p_norm" and self.scale is not None:
+            raise InputError("scale", self.scale, "None", state=f"is {self.scale!r} but kind 'p_norm' does not use it")
+        if self.kind == "ks":
+            check_scale(self.scale)
 
     @property
     def operands(self) -> Sequence[Measure]:
@@ -78,8 +80,12 @@ class Aggregate(Measure):
 
     def value(self, motion: Trajectory) -> Tensor:
         rows, rho = self._rows(motion), float(self.sharpness)
-        if self.kind == "ks":
+        if self.scale is not None:  # kind "ks"
             return torch.logsumexp(rho / self.scale * rows, 1) * (self.scale / rho)
+        for lane in torch.nonzero(untransformed(rows).amax(1) <= 0.0)[:, 0].tolist():
+            raise DesignFailure(
+                f"Aggregate(kind='p_norm'): the largest row of design {lane + 1} is not positive. Try: kind='ks', scale=..."
+            )
         # Logarithms avoid overflow of powers.
         return torch.exp(torch.logsumexp(rho * rows.clamp_min(torch.finfo(rows.dtype).tiny).log(), 1) / rho)
 

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from torchmbd.design.curve import curve_of
 from torchmbd.design.histories import flexible_body
-from torchmbd.design.response import History, Measure
+from torchmbd.design.response import History, Measure, check_scale
 from torchmbd.design.spline import Spline, Window, checked_window
 from torchmbd.design.supported_frequencies import check_supports, supported_frequencies
 from torchmbd.errors import InputError
@@ -254,27 +254,28 @@ class SmoothMax(OfHistory):
     It lies between the largest sample and c ln(samples) / rho above it.
 
     sharpness  rho, positive: the larger, the nearer to the largest sample, and the less smooth [-]
-    scale      c, positive: the size of the history, in its unit
+    scale      c, positive: the size of the history, in its unit; it must be given
     Source: Kreisselmeier and Steinhauser (1979).
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 1.0, steps=40)
     >>> speed = mbd.Velocity("bob", "x")
-    >>> bool(mbd.SmoothMax(speed)(motion) > mbd.Max(speed)(motion))
+    >>> bool(mbd.SmoothMax(speed, scale=1.0)(motion) > mbd.Max(speed)(motion))
     True
-    >>> round(mbd.SmoothMax(speed, sharpness=1000.0)(motion).item(), 2)  # [m/s]
+    >>> round(mbd.SmoothMax(speed, sharpness=1000.0, scale=1.0)(motion).item(), 2)  # [m/s]
     1.0
     """
 
     sharpness: float = 50.0
-    scale: float = 1.0
+    scale: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, x in (("sharpness", self.sharpness), ("scale", self.scale)):
-            if scalar(name, x, "a positive number") <= 0.0:
-                raise InputError(name, x, "a positive number")
+        if scalar("sharpness", self.sharpness, "a positive number") <= 0.0:
+            raise InputError("sharpness", self.sharpness, "a positive number")
+        check_scale(self.scale)
 
     def reduce(self, curve: Spline) -> Tensor:
+        assert self.scale is not None  # since __post_init__
         rho, (y, new) = self.sharpness / self.scale, curve.samples()
         return torch.logsumexp(torch.where(new, rho * y, -torch.inf), -1) / rho
 

@@ -317,6 +317,13 @@ class Measure(ConstantArguments):
         return Constraint(self, limit, "equal", scale)
 
 
+def check_scale(scale: object) -> None:
+    """InputError unless a smooth largest number has the size of what it is of: no number suits all units."""
+    allowed = "a positive number, the size of the values in their unit"
+    if scale is None or scalar("scale", scale, allowed) <= 0.0:
+        raise InputError("scale", scale, allowed, hint="the limit of the values")
+
+
 def require_scalar_measures(parts: Iterable[Any], kind: str) -> None:
     """InputError unless every part is a measure of one number."""
     for part in parts:

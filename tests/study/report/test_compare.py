@@ -10,8 +10,9 @@ import pytest
 from rich.console import Console
 
 from tests.refused import refused
+from torchmbd.study.record.metric_names import DESIGN
 from torchmbd.study.record.runs import flat
-from torchmbd.study.report.compare import differences, print_best, print_comparison
+from torchmbd.study.report.compare import differences, outcomes, print_best, print_comparison
 from torchmbd.study.report.listing import print_links_of
 from torchmbd.tracking.catalog import children, find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
@@ -40,6 +41,12 @@ def test_a_run_is_not_compared_with_itself(finished):
     run = finished.runs[0]
     with refused("a", run):
         shown(print_comparison, run, run[:8], finished.uri)
+
+
+def test_design_variables_of_either_run_are_compared():
+    first, second = {"best_objective": 1.0, f"{DESIGN}angle": 3.0}, {f"{DESIGN}thickness": 2.0, "violation": 0.0}
+    for runs in ((first, second), (second, first)):
+        assert set(outcomes(*runs)) == {"best_objective", "violation", f"{DESIGN}angle", f"{DESIGN}thickness"}
 
 
 def test_the_best_come_first(finished):

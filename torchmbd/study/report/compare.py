@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from rich import box
@@ -147,6 +148,12 @@ def _cell(child: Entry, name: str, sign: float) -> str:
     return change_cell(child.metrics[name], sign) if name == gain_metric(sign) else f"{child.metrics[name]:.6g}"
 
 
+def outcomes(*metrics: Mapping[str, float]) -> list[str]:
+    """Return names of outcomes, then of design variables, that any of several runs has."""
+    names = dict.fromkeys(name for of_run in metrics for name in of_run)
+    return [*(name for name in _OUTCOME if name in names), *(name for name in names if is_design(name))]
+
+
 def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
     """Print in what the files of two studies differ, and how they ended."""
     store = store_uri(uri)
@@ -171,8 +178,7 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
     for tag in (VERIFICATION, SEARCH_TEXT, ACTIVE):
         table.add_row(tag, *(escape(entry.tags.get(tag, "-")) for entry in (first, second)))
     table.add_section()
-    shared = [name for name in (*_OUTCOME, *first.metrics) if name in first.metrics or name in second.metrics]
-    for name in dict.fromkeys(name for name in shared if name in _OUTCOME or is_design(name)):
+    for name in outcomes(first.metrics, second.metrics):
         table.add_row(
             escape(without_group(name)),
             *(number_text(name, e.metrics[name]) if name in e.metrics else "-" for e in (first, second)),
