@@ -84,7 +84,11 @@ class Aggregate(Measure):
             return torch.logsumexp(rho / self.scale * rows, 1) * (self.scale / rho)
         for lane in torch.nonzero(untransformed(rows).amax(1) <= 0.0)[:, 0].tolist():
             raise DesignFailure(
-                f"Aggregate(kind='p_norm'): the largest row of design {lane + 1} is not positive. Try: kind='ks', scale=..."
+                "kind",
+                self.kind,
+                "rows of which one is positive; 'ks', with a scale, for others",
+                noun="Aggregate(kind='p_norm')",
+                state=f"has no positive row in design {lane + 1}",
             )
         # Logarithms avoid overflow of powers.
         return torch.exp(torch.logsumexp(rho * rows.clamp_min(torch.finfo(rows.dtype).tiny).log(), 1) / rho)
