@@ -102,7 +102,7 @@ def _largest_frequency(motion: Trajectory, lane: int, time: int) -> float:
         rows = torch.nonzero(motion.lam[lane, time])[:, 0].tolist()
         dynamics = replace(dynamics, topology=dynamics.topology.selected(rows))
     try:
-        vibrations = Vibrations.of(Linearization.of(dynamics, q, motion.t[time]))
+        vibrations = Vibrations.of(Linearization.of(dynamics, q, motion.t[time], released=True))
     except DesignFailure:  # a part without inertia is free to move: frequencies are infinite
         return 0.0
     frequencies = vibrations.frequencies

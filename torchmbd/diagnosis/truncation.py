@@ -120,7 +120,7 @@ def static_truncation(system: System) -> StaticTruncation | None:
         ]
         if T.rows and T.n_v <= LARGEST and residuals:
             loads = _local(T, at, equations.force_on_vectors(T, at, torch.eye(T.rows, dtype=q.dtype)[:, None]))
-            rest = Linearization.of(dynamics, q[:, 0, 0], t)
+            rest = Linearization.of(dynamics, q[:, 0, 0], t, released=True)
             truncations.append(_of_joints(residuals, T, rest, loads))
     return max((x for x in truncations if x is not None), key=lambda x: x.share, default=None)
 
@@ -286,8 +286,12 @@ def _flexible_joints(rest: Linearization, C: Tensor, small: float) -> tuple[Tens
 
     small   square of an angular frequency below all elastic ones: a shift that makes the stiffness regular
     """
-    active, J = rest.active, rest.Phi_q[:, rest.active]
-    K, M = (0.5 * (x + x.T) for x in (rest.K[active][:, active], rest.M[active][:, active]))
+    s, size = rest.scale[rest.active], rest.row_sizes
+    J, C = rest.Phi_q[:, rest.active] * s / size[:, None], C / size / size[:, None]
+    K, M = (
+        0.5 * s[:, None] * (x + x.T) * s
+        for x in (rest.K[rest.active][:, rest.active], rest.M[rest.active][:, rest.active])
+    )
     shift = small + 2.0 * max(0.0, -float(_squares(rest.reduced(rest.K), rest.reduced(rest.M))[0]))
     regular = _REGULAR * C.diagonal().max() * torch.eye(len(C), dtype=C.dtype)
     saddle = torch.cat([torch.cat([K + shift * M, J.T], 1), torch.cat([J, -C - regular], 1)])
@@ -297,7 +301,7 @@ def _flexible_joints(rest: Linearization, C: Tensor, small: float) -> tuple[Tens
     B = L.T @ inverse[: len(M)] @ L
     values, Y = torch.linalg.eigh(0.5 * (B + B.T))
     values, Y = values.flip(0), Y.flip(1)
-    return 1.0 / values.clamp_min(1e-300) - shift, inverse[len(M) :] @ (L @ Y)
+    return 1.0 / values.clamp_min(1e-300) - shift, (inverse[len(M) :] @ (L @ Y)) / size[:, None]
 
 
 def _squares(K: Tensor, M: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import cross_matrix, turned
+from tests.mechanisms import cross_matrix, tensor, turned
 from tests.refused import refused
 from torchmbd.errors import InputError
 
@@ -35,6 +35,17 @@ def test_three_moments_are_a_diagonal():
     short = mbd.RigidBody("short", inertia=(1.0, 2.0, 2.5), **given)
     full = mbd.RigidBody("full", inertia=torch.diag(torch.tensor([1.0, 2.0, 2.5])), **given)
     assert_close(short.invariants(), full.invariants())
+
+
+@pytest.mark.parametrize("moments", [(3e-4, 3e-4, 3e-4), (2e-3, 2e-3, 0.0), (1e-3, 2e-3, 3e-3), (0.0, 0.0, 0.0)])
+def test_a_turned_inertia_is_symmetric_to_rounding(moments):
+    """R J R' of a sphere, a rod and a lamina: rounding makes it unsymmetric, and zero moments negative."""
+    for seed in range(5):
+        R = turned(*torch.randn(3, generator=torch.Generator().manual_seed(seed)).tolist())
+        J = R @ torch.diag(tensor(*moments)) @ R.T
+        body = mbd.RigidBody("box", 1.0, J)
+        assert_close(body.inertia, J, rtol=0, atol=1e-18)
+        assert torch.equal(body.inertia, body.inertia.T)
 
 
 def test_places_and_gravity_are_saved_with_the_module():

@@ -12,7 +12,7 @@ Checked in tests/extensions/vibrations/test_linear_system.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -208,14 +208,16 @@ def _about_rest(dynamics: Any, q: Tensor, state: Equilibrium, lane: int, k: int)
     if state.rotation is not None:
         observer = state.rotation.of_spin(state.dynamics.values().select_lanes([lane]).data[SPIN].detach())
     rest = Linearization.of(dynamics, q[:, 0, 0], state.t[k].detach(), None, observer)
-    size = max(float(rest.forces.abs().max()), float(rest.K.abs().max()))
-    if not float((rest.N.T @ rest.unbalanced).abs().amax(0) if rest.N.numel() else 0.0) <= _BALANCED * size or (
-        rest.phi.numel() and not float(rest.phi.abs().max()) <= _BALANCED
+    stiffness = rest.scale[:, None] * rest.K * rest.scale
+    size = max(float(rest.works.abs().max()), float(stiffness.abs().max()))
+    if not float((rest.N.T @ rest.unbalanced).abs().amax(0) if rest.N.numel() else 0.0) <= _BALANCED * size or not bool(
+        (rest.phi.abs() <= _BALANCED * rest.row_sizes).all()
     ):
         raise InputError(
             "state", state, "mbd.equilibrium(...) of this system", state="is not an equilibrium of the system"
         )
     factored_inertia(rest.inertia)
+    rest = replace(rest, N=rest.N / rest.N.norm(dim=0))  # coordinates that are single increments have their units
     N = torch.zeros(len(rest.forces), rest.N.shape[1], dtype=q.dtype)
     N[rest.active] = rest.N
     C, names = rest.reduced(rest.C), _freedoms(dynamics.topology, N)

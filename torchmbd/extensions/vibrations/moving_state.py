@@ -123,7 +123,7 @@ class MovingLinearization:
             return equations.constraint_jets(T, at, data, v, a, t)
 
         Phi_q = _jacobian(T, data, q, excitation)[kept][:, active] if kept else q.new_zeros(0, len(active))
-        basis = null_space(Phi_q.detach())
+        basis = null_space(Phi_q.detach(), q.new_ones(len(active)))
         rows = independent_rows(T, active, basis) if coordinates is None else _rows(T, active, basis, coordinates)
         place = {row: i for i, row in enumerate(active.tolist())}
         E = torch.eye(len(active), dtype=q.dtype)[[place[row] for row in rows]]

@@ -28,6 +28,8 @@ from torchmbd.multibody.bodies.frame import (
     vector_or_parameter,
 )
 
+_ROUNDING = 1e-12  # share of the largest entry of an inertia by which it may be unsymmetric, or its moments impossible
+
 
 class Ground:
     """The inertial frame; joints attach bodies to it.
@@ -168,11 +170,13 @@ def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
     allowed = "three numbers or a symmetric 3 x 3 matrix [kg m2]"
     J = read_numbers((name, "inertia"), inertia.detach() if isinstance(inertia, nn.Parameter) else inertia, allowed)
     J = torch.diag(J) if J.shape == (3,) else J
-    if J.shape != (3, 3) or not bool(torch.isfinite(J).all()) or not torch.allclose(J, J.T, rtol=1e-12, atol=0):
+    rounding = _ROUNDING * float(J.abs().max()) if J.numel() else 0.0  # of a product R J R'
+    if J.shape != (3, 3) or not bool(torch.isfinite(J).all()) or not bool(((J - J.T).abs() <= rounding).all()):
         raise InputError((name, "inertia"), inertia, allowed)
+    J = 0.5 * (J + J.T)
     principal = torch.linalg.eigvalsh(J)
     # A body of positive mass has J1 + J2 >= J3; a rod has J1 = 0 and a driven body may have none at all.
-    if float(principal[0]) < 0 or float(principal[0] + principal[1] - principal[2]) < -1e-12 * float(principal[2]):
+    if float(principal[0]) < -rounding or float(principal[0] + principal[1] - principal[2]) < -rounding:
         raise InputError(
             (name, "inertia"),
             inertia,

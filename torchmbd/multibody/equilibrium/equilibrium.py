@@ -36,11 +36,15 @@ from torchmbd.multibody.equilibrium.steady_rotation import SteadyRotation
 from torchmbd.multibody.equilibrium.steady_state import unsteady
 from torchmbd.multibody.joints.primitive import Angle
 
-_STEPS, _LARGEST = 200, 0.3  # Newton steps; largest increment of a coordinate [m], [rad]
+_STEPS, _LARGEST = (
+    200,
+    0.3,
+)  # Newton steps; largest increment of a coordinate, as a share of its size; of a rotation [rad]
+_FAR = 1e6  # times its size at the start, to which a mechanism may grow: beyond that a soft spring does not hold it
 _SWEEP_STEPS = 8  # of all speeds together; those that need more are searched one after the other
 _NEAR = 0.1  # of the distance between the equilibria of neighboring speeds, that a first step between them may miss
-_FORCE = 1e-10  # largest unbalanced force, as a share of the largest force of all steps
-_CLOSED = 1e-11  # violation of a joint
+_FORCE = 1e-10  # largest unbalanced force, as a share of the largest force of all steps, both as works
+_CLOSED = 1e-11  # violation of a joint, as a share of the size of its row
 _ROUNDING = 1e-14  # of the terms that cancel in forces
 SPIN = "spin"  # name of the angular velocity [3, 1, lanes] of a steady rotation among the data
 _SAME = 1e-6  # of the largest force: a change of forces in a steady rotation that counts as none
@@ -125,7 +129,7 @@ def _sweep(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | N
         moves = torch.zeros(T.n_v, 1, len(lanes), dtype=q.dtype)
         for lane in [lane for lane in lanes if lane not in balances]:
             rest, of_lane = states[lane], of_lanes[lane]
-            largest[lane] = max(largest[lane], float(rest.forces.abs().max()))
+            largest[lane] = max(largest[lane], float(rest.works.abs().max()))
             turning = _at_spin(rotation, of_lane.data)
             balance, small = _balance(of_lane, rest, q[:, 0, lane], t, turning, largest[lane], lane == lanes[-1])
             if balance is not None:
@@ -189,7 +193,7 @@ def vibrations(dynamics: Any) -> Vibrations:
     """Vibrations of one design about its initial position, which is taken for an equilibrium."""
     with torch.no_grad():
         q, _ = dynamics.values().initial.solve(dynamics.values())
-        return Vibrations.of(Linearization.of(dynamics.values(), q[:, 0, 0], q.new_zeros(())))
+        return Vibrations.of(Linearization.of(dynamics.values(), q[:, 0, 0], q.new_zeros(()), released=True))
 
 
 def _find_equilibrium(
@@ -210,19 +214,21 @@ def _find_equilibrium(
             return _failed(T, start, f"no static equilibrium: {path.failure}; {_SMALLER}")
         q = path.q
     rest, largest = Linearization.of(dynamics, q, t, observer=turning), 0.0
-    for _ in range(_STEPS):
-        largest = max(largest, float(rest.forces.abs().max()))
+    sizes, steps_taken = rest.scale, 0
+    while steps_taken < _STEPS:
+        steps_taken += 1
+        largest = max(largest, float(rest.works.abs().max()))
         balance, small = _balance(dynamics, rest, q, t, rotation, largest, all_around)
         if balance is not None:
             return balance if not balance.failure else _failed(T, start, balance.failure)
-        if not bool(torch.isfinite(rest.forces).all()):
+        if not bool((torch.isfinite(rest.forces) & (rest.scale <= _FAR * sizes)).all()):
             break
         q = equations.advance(T, q[:, None, None], _step(rest, unstable, small)[:, None, None])[:, 0, 0]
         rest = Linearization.of(dynamics, q, t, observer=turning)
     forces = rest.unbalanced.abs().nan_to_num(torch.inf)
     worst = T.rate_name(int(rest.active[int(forces.argmax())]), "force", "torque")
     failure = (
-        f"no static equilibrium in {_STEPS} steps: {float(forces.max()):.3g} N or N m remain on {worst}; "
+        f"no static equilibrium in {steps_taken} steps: {float(forces.max()):.3g} N or N m remain on {worst}; "
         "allowed: a mechanism whose forces can balance, and initial positions near that"
     )
     return _failed(T, start, failure)
@@ -237,13 +243,14 @@ def _balance(
     largest: float,
     all_around: bool,
 ) -> tuple[Balance | None, float]:
-    """The equilibrium at q, or None where forces do not balance, and the size of forces that count as none.
+    """The equilibrium at q, or None where forces do not balance, and the size of works that count as none.
 
     largest   of the forces of all steps; all_around: as in `_find_equilibrium`
     """
     T, canceling = dynamics.topology, _canceling(dynamics, rest, q, t)
     small = _FORCE * largest + _ROUNDING * canceling
-    closed = not rest.phi.numel() or float(rest.phi.abs().max()) < _CLOSED
+    places = float(q[: 3 * T.bodies].abs().max()) if T.bodies else 0.0
+    closed = bool((rest.phi.abs() <= _CLOSED * rest.row_sizes + _ROUNDING * places).all())
     along_freedoms = rest.N.T @ rest.unbalanced
     if not closed or (along_freedoms.numel() and not float(along_freedoms.abs().max()) <= small):
         return None, small
@@ -275,26 +282,32 @@ def _failed(T: Any, start: Tensor, failure: str) -> Balance:
 
 
 def _canceling(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor) -> float:
-    """Size of the terms that cancel in forces: stiffness times coordinates, forces of joints, springs against each other."""
+    """Size of the works that cancel: of stiffness times coordinates, of joints, and of springs against each other."""
     T, data = dynamics.topology, dynamics.values().data
     n = 3 * T.bodies
     w = equations.split_q(T, q[:, None, None])[2].flatten()
     size = torch.cat([q[:n], torch.ones_like(q[:n]), w]).abs()
-    terms = [rest.K.abs() @ size, rest.Phi_q.abs().T @ rest.lam.abs()]
+    terms = [rest.scale * (rest.K.abs() @ size), rest.scale * (rest.Phi_q.abs().T @ rest.lam.abs())]
     if T.actions:
         at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
         states = equations.action_states(T, data, at, q.new_zeros(T.n_v, 1, 1))
-        terms += [f.abs().flatten() for f in equations.strengths(T, data, states, t)]
+        reach = torch.where(
+            torch.tensor([x.is_point for x in T.attached]), rest.scale[0], 1.0
+        )  # of points, of directions
+        for action, (_, _, direction), f in zip(
+            T.actions, states, equations.strengths(T, data, states, t), strict=True
+        ):
+            for members, unit in zip(action.members, direction, strict=True):
+                terms.append(reach[members] * (f * unit).norm(dim=0).flatten())
     return max(float(x.max()) for x in terms if x.numel())
 
 
 def _step(rest: Linearization, unstable: bool, small: float) -> Tensor:
     """Increment [n_v] of Newton's method: towards smaller energy, or, if `unstable`, to the nearest equilibrium of any kind.
 
-    small   size of forces that balance: they move no degree of freedom that has hardly any stiffness
+    small   size of works that balance: they move no degree of freedom that has hardly any stiffness
     """
-    active, J = rest.active, rest.Phi_q[:, rest.active]
-    close = -torch.linalg.pinv(J, rtol=1e-9) @ rest.phi
+    active, close = rest.active, -rest.right_inverse @ rest.phi
     forces = rest.N.T @ (rest.unbalanced + rest.K[active][:, active] @ close)
     if unstable:
         slide = -_flexibility(rest.reduced(rest.K)) @ forces
@@ -307,7 +320,7 @@ def _step(rest: Linearization, unstable: bool, small: float) -> Tensor:
         slide = -vectors @ (along / values.abs().clamp_min(_NO_STIFFNESS * largest or 1.0))
     total = close + rest.N @ slide
     step = torch.zeros_like(rest.forces)
-    step[active] = total * min(1.0, _LARGEST / max(float(total.abs().max()), 1e-300))
+    step[active] = total * min(1.0, _LARGEST / max(float((total / rest.scale[active]).abs().max()), 1e-300))
     return step
 
 
@@ -321,7 +334,7 @@ def _stiffness(rest: Linearization) -> tuple[Tensor, Tensor]:
 def _inverse(rest: Linearization) -> Tensor:
     """`Balance.inverse`; degrees of freedom without stiffness do not move."""
     active, n = rest.active, len(rest.forces)
-    close = torch.linalg.pinv(rest.Phi_q[:, active], rtol=1e-9)
+    close = rest.right_inverse
     slide = rest.N @ _flexibility(rest.reduced(rest.K)) @ rest.N.T
     inverse = rest.forces.new_zeros(n, n + len(rest.phi))
     inverse[active[:, None], active] = slide
@@ -341,7 +354,7 @@ def _instability(T: Any, rest: Linearization) -> str:
     values, vectors = _stiffness(rest)
     if not len(values) or float(values[0]) > _NO_STIFFNESS * float(values.abs().max()):
         return ""
-    row = int(rest.active[int((rest.N @ vectors[:, 0]).abs().argmax())])
+    row = int(rest.active[int((rest.N @ vectors[:, 0] / rest.scale[rest.active]).abs().argmax())])
     if float(values[0]) < -_NO_STIFFNESS * float(values.abs().max()):
         return (
             f"the static equilibrium is unstable: {T.rate_name(row)} falls away from it; "

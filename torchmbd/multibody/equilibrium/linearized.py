@@ -27,6 +27,7 @@ from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.topology import Prescribed, Topology
+from torchmbd.multibody.equilibrium.coordinate_scale import coordinate_scale
 from torchmbd.multibody.equilibrium.steady_rotation import Observer, ObserverAtRest, SteadyRotation
 from torchmbd.multibody.saddle.rank import RELATIVE
 
@@ -47,7 +48,8 @@ class Linearization:
     K, C, M [n_v, n_v]         stiffness and damping, both with the forces of the multipliers, and mass; C and M on demand
     Phi_q [rows, n_v], lam [rows]
     active                     rows of v but those that pad the modes of bodies and designs with fewer modes than others
-    N [active, freedoms]       null space of the active columns of Phi_q
+    scale [n_v]                sizes of the coordinates (coordinate_scale.py)
+    N [active, freedoms]       basis of the null space of the active columns of Phi_q, orthonormal in x / scale
     along                      C by "rates", M by "accelerations"
     rotates                    whether the state rotates steadily
     """
@@ -58,6 +60,7 @@ class Linearization:
     Phi_q: Tensor
     lam: Tensor
     active: Tensor
+    scale: Tensor
     N: Tensor
     along: Callable[[str], Tensor]
     rotates: bool = False
@@ -80,9 +83,10 @@ class Linearization:
         observer: Observer | None = None,
         unstrained: Tensor | None = None,
         excitation: Prescribed | None = None,
+        released: bool = False,
     ) -> Linearization:
         """Linearize `dynamics` of one design at q and time t; arguments as in `each`."""
-        return cls.each(dynamics, q[:, None, None], t, offset, observer, unstrained, excitation)[0]
+        return cls.each(dynamics, q[:, None, None], t, offset, observer, unstrained, excitation, released)[0]
 
     @classmethod
     def each(
@@ -94,6 +98,7 @@ class Linearization:
         observer: Observer | None = None,
         unstrained: Tensor | None = None,
         excitation: Prescribed | None = None,
+        released: bool = False,
     ) -> list[Linearization]:
         """Linearize all lanes of `dynamics` at q [n_q, 1, lanes] and time t; equations of all lanes are evaluated at once.
 
@@ -101,6 +106,8 @@ class Linearization:
         offset       forces with torques in ground axes [n_v] and violations [rows], to be subtracted from forces and phi
         unstrained   screws [6, n, 1, 1] at which beam elements have no force in K and lam; None: those of the data
         excitation   what drives prescribe; None: their laws at time t
+        released     True for a state that need not be in equilibrium: lam is that of the motion which starts from rest
+                     here. It does not depend on frames and units, which least squares of forces and torques do
         """
         T = dynamics.topology
         data = {name: value(x).detach() for name, x in dynamics.data.items()}
@@ -133,8 +140,15 @@ class Linearization:
             data = data | {"beam_rest": unstrained}
             balanced = residual(at, rates, none)[:, 0]
             balanced = balanced if subtracted is None else balanced - subtracted.value[:, 0]
-        constrained = zip(active, Phi_q, balanced.unbind(-1), strict=True)
-        lam = torch.stack([-torch.linalg.pinv(J[:, a].T, rtol=RELATIVE) @ f[a] for a, J, f in constrained], -1)
+        scale = coordinate_scale(T, data, at, q).unbind(-1)
+        constrained = zip(active, Phi_q, scale, balanced.unbind(-1), strict=True)
+        masses = [None] * lanes
+        if released and T.rows:
+            xd_xdd = observer.perturbed(T, q, zero, zero, unit)[1:]
+            masses = [coupling.matrix(x) for x in _tangents(residual(at, xd_xdd, none))]
+        lam = torch.stack(
+            [_multipliers(J, s, f, a, M) for (a, J, s, f), M in zip(constrained, masses, strict=True)], -1
+        )
         force = residual(moved, rates_moved, lam[:, None])
         stiffness = _tangents(force if subtracted is None else force - subtracted)
 
@@ -149,10 +163,10 @@ class Linearization:
 
         spin = observer.spin if isinstance(observer, SteadyRotation) else still[:3]
         rotates = spin.expand(-1, -1, lanes).any(0)[0]
-        parts = zip(forces.unbind(-1), phi.unbind(-1), stiffness, Phi_q, lam.unbind(-1), active, strict=True)
+        parts = zip(forces.unbind(-1), phi.unbind(-1), stiffness, Phi_q, lam.unbind(-1), active, scale, strict=True)
         return [
-            cls(f, p, coupling.matrix(K), J, x, a, null_space(J[:, a]), of_lane(i), bool(rotates[i]))
-            for i, (f, p, K, J, x, a) in enumerate(parts)
+            cls(f, p, coupling.matrix(K), J, x, a, s, null_space(J[:, a], s[a]), of_lane(i), bool(rotates[i]))
+            for i, (f, p, K, J, x, a, s) in enumerate(parts)
         ]
 
     @classmethod
@@ -161,8 +175,33 @@ class Linearization:
         n, none = len(M), M.new_zeros(0)
         matrices, unit = {"rates": C, "accelerations": M}, torch.eye(n, dtype=M.dtype)
         return cls(
-            M.new_zeros(n), none, K, M.new_zeros(0, n), none, torch.arange(n), unit, matrices.__getitem__, rotates=True
+            forces=M.new_zeros(n),
+            phi=none,
+            K=K,
+            Phi_q=M.new_zeros(0, n),
+            lam=none,
+            active=torch.arange(n),
+            scale=M.new_ones(n),
+            N=unit,
+            along=matrices.__getitem__,
+            rotates=True,
         )
+
+    @cached_property
+    def row_sizes(self) -> Tensor:
+        """Size of each constraint where all coordinates move by their sizes [rows]: [m] of a length, [-] of an angle."""
+        return (self.Phi_q * self.scale)[:, self.active].norm(dim=1).clamp_min(torch.finfo(self.scale.dtype).tiny)
+
+    @cached_property
+    def right_inverse(self) -> Tensor:
+        """Smallest increment of the coordinates, as a share of their sizes, of unit violations [active, rows]."""
+        s, size = self.scale[self.active], self.row_sizes
+        return s[:, None] * torch.linalg.pinv(self.Phi_q[:, self.active] * s / size[:, None], rtol=RELATIVE) / size
+
+    @property
+    def works(self) -> Tensor:
+        """Forces times the sizes of their coordinates [n_v]: forces, torques and modal forces in one unit."""
+        return self.forces * self.scale
 
     @property
     def unbalanced(self) -> Tensor:
@@ -210,7 +249,8 @@ class Linearization:
         K = self.reduced(self.K)
         if not len(K):
             return False
-        noise = _UNBALANCED * self.unbalanced.abs().max() + _ROUNDING * K.abs().max()
+        unbalanced = (self.unbalanced * self.scale[self.active]).abs().max()
+        noise = _UNBALANCED * unbalanced + _ROUNDING * K.abs().max()
         return bool((K - K.T).abs().max() > noise)
 
 
@@ -356,23 +396,39 @@ def unpadded_rates(T: Topology, data: Data, lanes: int) -> list[Tensor]:
     return [torch.cat([rigid, len(rigid) + row.nonzero()[:, 0]]) for row in retained]
 
 
-def null_space(J: Tensor) -> Tensor:
-    """Orthonormal basis [n, k] of the null space of a Jacobian [rows, n]; rows scaled to length one.
+def null_space(J: Tensor, scale: Tensor) -> Tensor:
+    """Basis [n, k] of the null space of a Jacobian [rows, n], orthonormal in coordinates divided by scale [n].
 
-    Columns without entries are basis vectors themselves: mixed with others, soft degrees of freedom would get the rounding of
-    stiff ones.
+    Rows are scaled to length one. Columns without entries are basis vectors themselves: mixed with others, soft degrees of
+    freedom would get the rounding of stiff ones.
     """
     n = J.shape[1]
     if not len(J):
-        return torch.eye(n, dtype=J.dtype)
+        return torch.diag(scale)
     bound = (J != 0.0).any(0)
-    A = J[:, bound]
+    A = (J * scale)[:, bound]
     _, s, Vh = torch.linalg.svd(A / A.norm(dim=1, keepdim=True), full_matrices=True)
     null = Vh[int((s > RELATIVE * s[0]).sum()) :].T
     free = torch.eye(n, dtype=J.dtype)[:, ~bound]
     basis = J.new_zeros(n, null.shape[1])
     basis[bound] = null
-    return torch.cat([free, basis], 1)
+    return scale[:, None] * torch.cat([free, basis], 1)
+
+
+def _multipliers(J: Tensor, scale: Tensor, forces: Tensor, active: Tensor, M: Tensor | None) -> Tensor:
+    """Multipliers [rows] that balance forces [n_v] best: least sum of squares of works on the coordinates of sizes scale [n_v].
+
+    M   mass matrix [n_v, n_v]: least sum of squares by its inverse, as of a body released from rest (Gauss); where it is
+        singular, and where it is None, as above
+    """
+    s = scale[active]
+    f, A = s * forces[active], (J[:, active] * s).T
+    if M is not None:
+        L, singular = torch.linalg.cholesky_ex(0.5 * s[:, None] * (M + M.T)[active][:, active] * s)
+        if not int(singular):
+            f, A = (torch.linalg.solve_triangular(L, x, upper=False) for x in (f[:, None], A))
+            f = f[:, 0]
+    return -torch.linalg.pinv(A, rtol=RELATIVE) @ f
 
 
 def _tangents(x: Any) -> tuple[Tensor, ...]:

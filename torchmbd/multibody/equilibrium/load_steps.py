@@ -68,10 +68,7 @@ class LoadSteps:
         n = 3 * dynamics.topology.bodies
         self.rotations = turning = slice(n, 2 * n)
         self.forces[turning] = matvec(_axes(start, turning), rest.forces[turning].reshape(3, -1)).flatten()
-        origins = start[:n].reshape(3, -1)
-        size = float((origins.amax(1) - origins.amin(1)).norm()) or 1.0
-        self.scale = torch.ones_like(rest.forces)
-        self.scale[:n] = size
+        self.scale = rest.scale
         self.first = _Point(0.0, start, self._linearize(start, 0.0))
         self.stable = _stiff(self.first.rest) and not _unstable(self.first.rest)
 
@@ -197,7 +194,7 @@ def _axes(q: Tensor, rotations: slice) -> Tensor:
 def _solved(rest: Linearization, forces: Tensor, phi: Tensor) -> Tensor:
     """Increment [n_v] that balances residual forces [n_v] and removes violations phi [rows]."""
     active = rest.active
-    close = -torch.linalg.pinv(rest.Phi_q[:, active], rtol=1e-9) @ phi
+    close = -rest.right_inverse @ phi
     slide = torch.linalg.solve(rest.reduced(rest.K), rest.N.T @ (forces[active] + rest.K[active][:, active] @ close))
     result = torch.zeros_like(forces)
     result[active] = close - rest.N @ slide

@@ -38,7 +38,7 @@ _OTHERS = (
 
 
 def unsteady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation: SteadyRotation, small: float) -> str:
-    """Why the state q [n_q] at time t, linearized as `rest`, is not steady, else ""; small: size of forces that count as none.
+    """Why the state q [n_q] at time t, linearized as `rest`, is not steady, else ""; small: size of works that count as none.
 
     Forces that move nothing count too: where they change, the loads of joints and the stiffness are unsteady.
     """
@@ -51,7 +51,8 @@ def unsteady(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor, rotation:
         turned.append(rotation.turned(T, turned[-1]))
     forces, phi = _loads(dynamics, torch.cat(turned, -1), t + period * t.new_tensor(angles), rotation)
     change = forces - torch.stack([rotation.turned_forces(T, rest.forces, k) for k in angles], -1)
-    same = (change.abs().amax(0) <= small) & (phi.abs() < _SAME).all(0)
+    closed = (phi.abs() <= _SAME * rest.row_sizes[:, None]).all(0)
+    same = ((rest.scale[:, None] * change).abs().amax(0) <= small) & closed
     if not bool(same.all()):
         return _OTHERS.format(1 + int(same.logical_not().nonzero()[0]))
     q_after = turned[0][:, 0, 0]
@@ -107,7 +108,7 @@ def _changed_tangents(T: Any, rest: Linearization, after: Linearization, rotatio
     full = rest.forces.new_zeros(T.n_v, rest.N.shape[1])
     full[rest.active] = rest.N
     N = torch.stack([rotation.turned_increments(T, x) for x in full.T], 1) if full.shape[1] else full
-    J = after.Phi_q / after.Phi_q.norm(dim=1, keepdim=True).clamp_min(1e-300)
+    J = after.Phi_q / after.row_sizes[:, None]
     if after.N.shape[1] != N.shape[1] or float((J @ N).abs().amax() if N.numel() and len(J) else 0.0) > _SAME:
         return _OTHERS.format(1)
     if not N.shape[1]:
