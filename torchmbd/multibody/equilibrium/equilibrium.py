@@ -5,7 +5,8 @@
     dq = -Phi_q^+ Phi + N z,   |N' K N| z = -N' (f + K dq_0)          |A|: symmetric part, eigenvalues taken positive
 
 With positive eigenvalues every step decreases the energy, so a conservative mechanism ends at a stable equilibrium and not at
-the nearest extremum; only a start exactly at an unstable equilibrium stays there, and is reported. Steps are limited in size.
+the nearest extremum; only a start exactly at an unstable equilibrium stays there, and is reported. Steps are limited by the
+size of the mechanism, and forces are compared as works on coordinates of this size (coordinate_scale.py).
 With beams the loads grow in steps (load_steps.py) where the start is stable under small loads. `unstable=True` leaves the signs
 of the eigenvalues, for states that are stable by other forces than those of the stiffness: a shaft above its critical speed.
 

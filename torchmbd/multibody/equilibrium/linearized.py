@@ -4,7 +4,8 @@
     N' M N y'' + N' C N y' + N' K N y = 0                       N: null space of Phi_q
 
 M is a block of the saddle-point matrix; K and C are tangents of the residual of the equations of motion at rest with fixed
-multipliers, so they include weight, pretension and all other forces. lam: least squares of the forces at rest.
+multipliers, so they include weight, pretension and all other forces. lam: least squares of the works of the forces at rest, or
+of the accelerations of a motion that starts from rest (`released`).
 Who measures x is an observer (steady_rotation.py). To one who turns with a steady rotation K has centrifugal forces, C those of
 Coriolis.
 Checked in tests/multibody/equilibrium/test_equilibrium.py: pendulums in closed form, a swinging beam.
