@@ -15,11 +15,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.data import Data
+from torchmbd.multibody.equations.equations import Placement
 from torchmbd.multibody.equations.topology import Topology
 
 
-def coordinate_scale(T: Topology, data: equations.Data, at: equations.Placement, q: Tensor) -> Tensor:
+def coordinate_scale(T: Topology, data: Data, at: Placement, q: Tensor) -> Tensor:
     """s of the module header [n_v, lanes] at coordinates q [n_q, 1, lanes], whose placement is `at`; data are values."""
     n, lanes = T.bodies, q.shape[-1]
     mass = data["mass"][:n, 0].expand(n, lanes)
@@ -28,7 +29,7 @@ def coordinate_scale(T: Topology, data: equations.Data, at: equations.Placement,
     return torch.cat([size.expand(3 * n, -1), torch.ones_like(size).expand(3 * n, -1), modal])
 
 
-def _size(T: Topology, data: equations.Data, at: equations.Placement, q: Tensor, mass: Tensor) -> Tensor:
+def _size(T: Topology, data: Data, at: Placement, q: Tensor, mass: Tensor) -> Tensor:
     """L of the module header [lanes]; 1 m for a mechanism without extent."""
     n, lanes = T.bodies, q.shape[-1]
     is_point = torch.tensor([x.is_point for x in T.attached], dtype=torch.bool)

@@ -37,10 +37,8 @@ from torchmbd.multibody.equilibrium.steady_rotation import SteadyRotation
 from torchmbd.multibody.equilibrium.steady_state import unsteady
 from torchmbd.multibody.joints.primitive import Angle
 
-_STEPS, _LARGEST = (
-    200,
-    0.3,
-)  # Newton steps; largest increment of a coordinate, as a share of its size; of a rotation [rad]
+_STEPS = 200  # Newton steps
+_LARGEST = 0.3  # largest increment of a coordinate, as a share of its size; of a rotation [rad]
 _FAR = 1e6  # times its size at the start, to which a mechanism may grow: beyond that a soft spring does not hold it
 _SWEEP_STEPS = 8  # of all speeds together; those that need more are searched one after the other
 _NEAR = 0.1  # of the distance between the equilibria of neighboring speeds, that a first step between them may miss
@@ -292,14 +290,12 @@ def _canceling(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor) -> floa
     if T.actions:
         at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
         states = equations.action_states(T, data, at, q.new_zeros(T.n_v, 1, 1))
-        reach = torch.where(
-            torch.tensor([x.is_point for x in T.attached]), rest.scale[0], 1.0
-        )  # of points, of directions
-        for action, (_, _, direction), f in zip(
-            T.actions, states, equations.strengths(T, data, states, t), strict=True
-        ):
-            for members, unit in zip(action.members, direction, strict=True):
-                terms.append(reach[members] * (f * unit).norm(dim=0).flatten())
+        is_point = torch.tensor([x.is_point for x in T.attached])
+        reach = torch.where(is_point, rest.scale[0], 1.0)  # of a displacement, of a turn
+        strengths = equations.strengths(T, data, states, t)
+        for action, (_, _, directions), f in zip(T.actions, states, strengths, strict=True):
+            for members, direction in zip(action.members, directions, strict=True):
+                terms.append(reach[members] * (f * direction).norm(dim=0).flatten())
     return max(float(x.max()) for x in terms if x.numel())
 
 
