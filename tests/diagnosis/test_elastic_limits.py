@@ -257,15 +257,18 @@ def test_a_state_that_is_unknown_does_not_hide_the_loads_after_it() -> None:
         assert largest == pytest.approx(9.0)
 
 
-@pytest.mark.parametrize(("damping", "told"), [(0.02, True), (1e-5, False)])
-def test_damping_above_the_critical_one_is_told(damping, told):
-    """A ratio of 0.02 that is given as a time of 0.02 s."""
+@pytest.mark.parametrize(("built", "design"), [(0.02, None), (1e-5, None), (1e-5, 0.02), (0.02, 1e-5)])
+def test_damping_above_the_critical_one_is_told(built, design):
+    """A ratio of 0.02 that is given as a time of 0.02 s, in the body or by the design."""
     laminate = mbd.Laminate(mbd.Ply.isotropic(70e9, 0.3, 2700.0), [0.0], 2e-3)
     mesh = mbd.mesh.rectangle(0.2, 0.05, (4, 1))
+    damping = mbd.variable(built)
     body = mbd.FlexibleBody.plate("strip", mesh, laminate, modes=2, reference="left_edge", damping=damping)
     system = mbd.System([body], [mbd.Fixed(mbd.Ground().at(), body.at("left_edge"))], gravity=(0.0, 0.0, -9.81))
+    shape = system.get_parameter("strip.damping.time").shape
+    designs = {} if design is None else {"strip.damping.time": torch.full((1, *shape), design, dtype=torch.float64)}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        mbd.simulate(system, 0.001, steps=20, backend="eager", gradients="none")
+        mbd.simulate(system, 0.001, steps=20, designs=designs, backend="eager", gradients="none")
     words = [str(x.message) for x in caught if "'strip'" in str(x.message) and "ratio" in str(x.message)]
-    assert len(words) == told
+    assert len(words) == ((design or built) == 0.02)

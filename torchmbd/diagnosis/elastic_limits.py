@@ -30,7 +30,6 @@ from torch import Tensor
 
 from torchmbd.errors import warn
 from torchmbd.math.pair import value
-from torchmbd.math.variable import number
 from torchmbd.results.motion_data import has_failed
 from torchmbd.results.trajectory import Trajectory
 
@@ -101,16 +100,22 @@ def warn_of_spin(motion: Trajectory) -> None:
 
 def warn_of_damping(motion: Trajectory) -> None:
     """Warn of bodies whose first mode is far above critical damping: their damping time may be a damping ratio by mistake."""
-    for name in motion.dynamics.topology.names[: motion.dynamics.topology.flexible]:
-        time = float(number(getattr(getattr(motion.system.body(name), "damping", None), "time", 0.0)))
-        if not time:
+    T, data = motion.dynamics.topology, motion.dynamics.data
+    for k, name in enumerate(T.names[: T.flexible]):
+        time = getattr(getattr(motion.system.body(name), "damping", None), "time", 0.0)
+        if not isinstance(time, Tensor) and not time:
             continue
-        first = torch.linalg.eigvalsh(motion.body(name).stiffness[0].detach())[..., 0].clamp_min(0.0).sqrt()
-        ratio = 0.5 * time * _largest(first)
-        if ratio > _OVERDAMPED:
+        m = T.mode_counts[k]
+        K, D = (value(data[key])[:m, :m, k, 0].detach().movedim(-1, 0) for key in ("Kr", "D"))
+        squares, shapes = torch.linalg.eigh(K)
+        first, shape = squares[:, 0].clamp_min(0.0).sqrt(), shapes[..., :1]
+        ratios = 0.5 * (shape.mT @ D @ shape)[:, 0, 0] / first
+        worst = int(ratios.nan_to_num(0.0, 0.0).argmax())
+        ratio, frequency = float(ratios[worst]), float(first[min(worst, len(first) - 1)])
+        if _OVERDAMPED < ratio < torch.inf:
             warn(
-                f"damping of body {name!r} = {time:g} s gives its first mode the damping ratio {ratio:.3g}, above critical "
-                f"damping. Try: damping = 2 x ratio / ({_largest(first):.3g} rad/s) for a damping ratio of this mode"
+                f"damping of body {name!r} = {2.0 * ratio / frequency:g} s gives its first mode the damping ratio {ratio:.3g}, "
+                f"above critical damping. Try: damping = 2 x ratio / ({frequency:.3g} rad/s) for a damping ratio of this mode"
             )
 
 
