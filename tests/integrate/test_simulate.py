@@ -242,7 +242,7 @@ def test_steps_that_do_not_resolve_the_vibrations_are_reported():
 
     system = build(1, [0.0], cells=(6, 2), modes=4)
     with warned("vibrations"):
-        coarse = mbd.simulate(system, 0.024, steps=16)
+        coarse = mbd.simulate(system, 0.024, steps=12)
     suggested = int(coarse.stats["suggested_steps"][0])
     assert 100 < suggested < 1000
     assert coarse.status[0].startswith("unresolved: the steps do not resolve the vibrations")

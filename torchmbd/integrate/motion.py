@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.gradients import in_transform
+from torchmbd.math.gradients import refuse_batched_by_grad
 from torchmbd.math.vmap import as_lanes, extent, fold
 from torchmbd.process import one_thread
 
@@ -65,14 +65,7 @@ class Motion(torch.autograd.Function):
     @one_thread()
     def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         inputs, needs_grad = ctx.saved_tensors, ctx.needs_input_grad[1:]
-        if any(x is not None and _batched_by_grad(x) for x in cotangents):
-            raise InputError(
-                "is_grads_batched",
-                True,
-                "torch.vmap over torch.autograd.grad, or torch.func.jacrev",
-                noun="torch.autograd.grad of a motion",
-                state="has is_grads_batched=True, for which torch ignores the rules of its operations",
-            )
+        refuse_batched_by_grad(cotangents)
         if all(x is None for x in cotangents):
             return (None,) * (1 + len(inputs))
         by_inputs = iter(_Backward.apply(ctx.integration, needs_grad, *inputs, *cotangents))  # pyright: ignore[reportArgumentType]
@@ -96,17 +89,6 @@ def _refuse() -> NoReturn:
         noun="a motion",
         state="is being differentiated twice",
     )
-
-
-def _batched_by_grad(x: Tensor) -> bool:
-    """True if `is_grads_batched` made x: without storage, and by no transform of torch.func."""
-    if in_transform(x):
-        return False
-    try:
-        x.untyped_storage()
-    except NotImplementedError:  # "Cannot access storage of BatchedTensorImpl"
-        return True
-    return False
 
 
 class _Derivative(torch.autograd.Function):

@@ -52,6 +52,23 @@ def in_transform(x: Tensor) -> bool:
     return debug_unwrap(x, recurse=False) is not x
 
 
+def refuse_batched_by_grad(cotangents: Iterable[Tensor | None]) -> None:
+    """InputError for cotangents that `is_grads_batched` made: without storage, and by no transform of torch.func."""
+    for x in cotangents:
+        if x is None or in_transform(x):
+            continue
+        try:
+            x.untyped_storage()
+        except NotImplementedError as error:  # "Cannot access storage of BatchedTensorImpl"
+            raise InputError(
+                "is_grads_batched",
+                True,
+                "torch.vmap over torch.autograd.grad, or torch.func.jacrev",
+                noun="torch.autograd.grad of a motion",
+                state="has is_grads_batched=True, for which torch ignores the rules of its operations",
+            ) from error
+
+
 def wraps(*tensors: Tensor) -> bool:
     """True if transforms of torch.func wrap what is computed now of these tensors."""
     return any(map(in_transform, (*tensors, torch.zeros((), dtype=torch.float64))))

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
-from torchmbd.math.gradients import wraps
+from torchmbd.math.gradients import refuse_batched_by_grad, wraps
 from torchmbd.math.pull_back import pull_back
 from torchmbd.math.threads import lane_groups, map_threads
 from torchmbd.math.vmap import FirstDerivative, batch_first
@@ -101,6 +101,7 @@ class _Grouped(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         needed = ctx.needs_input_grad[1:]
+        refuse_batched_by_grad(cotangents)
         if all(x is None for x in cotangents):
             return (None,) * (1 + len(needed))
         pulled = iter(_Pulled.apply(ctx.groups, needed, *ctx.saved_tensors, *cotangents))  # pyright: ignore[reportArgumentType]

@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.math.gradients import refuse_batched_by_grad
 from torchmbd.math.threads import lane_groups, map_threads
 
 
@@ -47,6 +48,7 @@ class _Selected(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *dy: Tensor) -> Any:
+        refuse_batched_by_grad(dy)
         return _Spread.apply(dy[0], ctx.rows, ctx.count), None
 
     @staticmethod
