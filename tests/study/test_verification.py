@@ -59,7 +59,7 @@ def runs(tmp_path_factory: Any, empty_store: Path, native: None) -> SimpleNamesp
     uri, result = f"sqlite:///{shutil.copy(empty_store, folder)}", {}
     patch = pytest.MonkeyPatch()
     patch.setenv("TORCHMBD_COMPILE", "1")
-    for name, steps, objective in (("fine", 80, RESOLVED), ("coarse", 8, ARTIFACT)):
+    for name, steps, objective in (("fine", 80, RESOLVED), ("coarse", 24, ARTIFACT)):
         file = folder / f"{name}.yaml"
         file.write_text(STUDY.format(steps=steps, objective=objective))
         output, tracker = io.StringIO(), MlflowTracker("vibration", uri)
@@ -146,4 +146,4 @@ def test_check_tells_the_errors_of_the_start(runs: SimpleNamespace, monkeypatch:
     assert "steps: 80, as given; the largest error at the start design is" in text
     assert "measuring the beginning of 1 motion" in text
     assert main(["check", str(runs.coarse.file)]) in (0, EXIT_UNVERIFIED)
-    assert "warning: steps: 8, as given, " in capfd.readouterr().out
+    assert "warning: steps: 24, as given, " in capfd.readouterr().out
