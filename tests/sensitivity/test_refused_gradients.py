@@ -242,7 +242,7 @@ def test_a_number_without_a_gradient_refuses_a_variable(name, kind):
 
 
 def of_motions(k: Any) -> dict[str, Callable[[], Any]]:
-    """What calls functions of a motion that read k: responses, events, impacts."""
+    """Return calls of functions of a motion that read k: a response, an event, an impact."""
     body = box("b")
     system = mbd.System([body], gravity=(0.0, 0.0, -9.81), free=["b"])
     motion = mbd.simulate(system, 0.02, steps=4)

@@ -145,7 +145,7 @@ def refuse_jumps(system: Any, duration: float, phases: Sequence[Phase]) -> None:
     """InputError names the first law that jumps in time, in a motion that is differentiated by its duration: steps move with
     the duration, jumps do not; the derivative of the steps would move both.
 
-    Laws are those of forces, of the system and its phases, and those of drives with their rates.
+    It looks at the laws of forces, in the system and in its phases, and at the laws of drives with their rates.
     """
     controllers = [x for x in system.forces if isinstance(x, Controller)]
     of_laws = [

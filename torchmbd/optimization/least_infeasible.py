@@ -121,8 +121,8 @@ def _compass_search(search: Search, y: np.ndarray, least_length: float) -> np.nd
     """Return a design that violates less than y and the designs beside it, or the first one without a violation.
 
     least_length  h at which the search ends
-    The result is None if no design beside y violates less. Of many variables the search moves those that change the violation
-    most, by the gradients at y.
+    The result is None if no design beside y violates less. If there are many variables, the search moves only those that change
+    the violation most, by the gradients at y.
     """
     evaluation = search.evaluate(y, gradients=True)
     violation, length, better = search.violation(evaluation), FIRST_LENGTH, None
@@ -135,8 +135,8 @@ def _compass_search(search: Search, y: np.ndarray, least_length: float) -> np.nd
         beside = [np.clip(y + h * e, search.lower, search.upper) for e in axes for h in (length, -length)]
         beside = [z for z in beside if not np.array_equal(z, y)]
         search.prefetch(beside, gradients=search.eager_gradients)
-        found = [(search.violation(x), k) for k, x in enumerate(map(search.evaluate, beside)) if x.ok]
-        least, k = min(found, default=(np.inf, 0))
+        violations = [(search.violation(x), k) for k, x in enumerate(map(search.evaluate, beside)) if x.ok]
+        least, k = min(violations, default=(np.inf, 0))
         if least < (1.0 - LOWER) * violation:
             y = better = beside[k]
             violation, length, least_length = least, min(2.0 * length, MOST_LENGTH), LEAST_LENGTH

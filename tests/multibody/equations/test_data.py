@@ -43,7 +43,7 @@ SYSTEMS: dict[str, Callable[[], mbd.System]] = {
 def words() -> set[str]:
     """All names in the table."""
     text = table.__doc__ or ""
-    return set(re.findall(r"[A-Za-z_][A-Za-z_0-9]*", text[: text.index("The symbols")]))
+    return set(re.findall(r"[A-Za-z_][A-Za-z_0-9]*", text[: text.index("The symbols stand")]))
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

@@ -180,7 +180,7 @@ def test_a_box_whose_start_fails_is_searched_from_elsewhere(first):
 
 
 def test_boxes_that_cannot_be_searched_are_counted():
-    """Of designs on values that fail for all but one continuous choice nothing is known: the search has not converged."""
+    """A box whose designs fail for all but one continuous choice stays unknown, so the search has not converged."""
     problem = wall(lambda x: bool(x[0] > 0.9 and abs(x[1] - 4.0) > 1e-9))
     result = optimize_discrete(problem, [1.0, None])
     assert result.status == "stalled"

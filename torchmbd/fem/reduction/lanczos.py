@@ -11,8 +11,8 @@ theta is still below (1 - gap) mu after k steps is at most
 
     (1.648 sqrt(N) exp(-sqrt(gap) (2 k - 1)))^p
 
-So many unwanted eigenvalues just below the wanted ones are told from a missed one. Where one was missed the iteration starts
-again with more columns than wanted eigenvalues.
+The bound distinguishes a missed eigenvalue from unwanted ones just below the wanted ones. If one was missed, the iteration
+starts again with more columns than wanted eigenvalues.
 Source: Golub and Van Loan, Matrix Computations, section 10.3; Parlett, The Symmetric Eigenvalue Problem, chapter 13. Chance
 of one column: Kuczynski and Wozniakowski, SIAM J. Matrix Anal. Appl. 13 (1992), theorem 4.1; the columns are independent.
 Checked in tests/fem/reduction/test_lanczos.py.

@@ -15,9 +15,9 @@ Each is a tensor or pair [component..., 1 + n_b, lanes or 1]; the axes below com
     times            the duration and the times of phases that gradients are wanted by (integrate/phases/segment.py) s
     steady states    spin [3] rad/s
 
-The symbols are those of equations.py and beams.py. What a system does not have is missing. Data are a mapping by name, not a
-tuple: names depend on the system, as those of laws do, and much of the code treats all numbers alike, as leaves of torch, as
-lanes, as inputs of compiled code.
+The symbols stand in equations.py and beams.py. A system without exact beams, gravity or stiffening has no such names. Data
+are a mapping by name, not a tuple, because laws add their names, and because much of the code treats all numbers alike: as
+leaves of torch, as lanes, as inputs of compiled code.
 Checked in tests/multibody/equations/test_data.py.
 """
 
