@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -41,6 +40,12 @@ LAW, FREE_HINGE = "law", "free hinge"
 JUMP = {name: FREE_HINGE if name == "buckling_index" else LAW for name in HISTORIES}
 MEASURES: dict[str, type[Measure]] = {
     name: kind for name, kind in COMBINATORS.items() if name not in ("at_time", "at_peaks")
+}
+
+# What a measure needs besides its history.
+OPTIONS: dict[type[Measure], Callable[[History, Trajectory], dict]] = {
+    mbd.AtTimes: lambda history, motion: {"count": 7},
+    mbd.SmoothMax: lambda history, motion: {"scale": float(history(motion).abs().max())},
 }
 
 
@@ -86,12 +91,8 @@ def test_a_window_that_ends_at_a_switch_is_the_motion_before(name, mode, whole_a
     """Values and gradients of every measure of every history."""
     history, (whole, before) = HISTORIES[name], whole_and_pieces(mode, JUMP[name])
     for kind in MEASURES.values():
-        alone, part = kind(history), kind(history, window=(0.0, SWITCH))
-        if isinstance(alone, mbd.AtTimes):
-            alone, part = replace(alone, count=7), replace(part, count=7)
-        if isinstance(alone, mbd.SmoothMax):
-            scale = float(history(before).abs().max())
-            alone, part = replace(alone, scale=scale), replace(part, scale=scale)
+        options = OPTIONS[kind](history, before) if kind in OPTIONS else {}
+        alone, part = kind(history, **options), kind(history, window=(0.0, SWITCH), **options)
         expected, result = alone.of(before), part.of(whole)
         assert_close(result.value, expected.value, rtol=1e-7, atol=1e-9 * float(expected.value.abs().max()))
         assert_close(
