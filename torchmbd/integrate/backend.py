@@ -4,6 +4,7 @@
     stepper           equal steps of one-step methods, with tangents
     adjoint_solver    the same steps backwards
     unknowns          of a step whose size differs from lane to lane
+    accelerations, smooth_start   of the start of a motion
     right_hand_side   of the index-1 equations
 
 `Backend` itself is "eager", the reference. Another one is a subclass with those of these parts that it makes, and a line of the
@@ -16,17 +17,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid
 from torchmbd.integrate.ode import RightHandSide
+from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.step import Model, Step, Weights
 from torchmbd.integrate.stepper import EagerStepper
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.registry import Registry
+from torchmbd.results.state import State
 
 _warned: set[str] = set()
 
@@ -61,6 +64,14 @@ class Backend:
 
     def unknowns(self, dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
         """Unknowns [n, 1, lanes] of a step, and the sizes of its last two corrections [2, lanes]; None: variable_step.py."""
+        return None
+
+    def accelerations(self, dynamics: Dynamics, q: Any, v: Any) -> tuple[Tensor, Tensor] | None:
+        """Accelerations [n_v, 1, lanes] and multipliers [rows, 1, lanes] at the start of a motion; None: dynamics.py."""
+        return None
+
+    def smooth_start(self, dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart | None:
+        """As `smooth_start` of smooth_start.py, of the start of a motion; None: it serves itself."""
         return None
 
     def threads(self, dynamics: Dynamics, work: Sequence[str]) -> int:

@@ -151,12 +151,12 @@ class Integrator(ABC):
         """
 
     def smooth_start(
-        self, dynamics: Dynamics, x: State, t: Any, h: Any, closed: SaddleSolver | None = None
+        self, dynamics: Dynamics, x: State, t: Any, h: Any, closed: bool = False, solver: SaddleSolver | None = None
     ) -> SmoothStart:
         """From which states steps go on without transients: at the start, after a switch or with another size.
 
         dynamics   not condensed;  x: states at times t [1 + n, lanes];  h: sizes of regular steps
-        closed     the solver of the accelerations at the start of a motion (smooth_start.py)
+        closed     x is the start of a motion, and solver that of its accelerations, where there is one (smooth_start.py)
         """
         return SmoothStart()
 

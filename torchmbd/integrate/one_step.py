@@ -106,9 +106,13 @@ class OneStep(Integrator):
         return step_of_size(dynamics, self.weights, x, h, t1, near)
 
     def smooth_start(
-        self, dynamics: Dynamics, x: State, t: Any, h: Any, closed: SaddleSolver | None = None
+        self, dynamics: Dynamics, x: State, t: Any, h: Any, closed: bool = False, solver: SaddleSolver | None = None
     ) -> SmoothStart:
-        return smooth_start(dynamics, self.weights(1.0), x, t, h, closed) if dynamics.topology.rows else SmoothStart()
+        if not dynamics.topology.rows:
+            return SmoothStart()
+        weights = self.weights(1.0)
+        compiled = backend_of(dynamics).smooth_start(dynamics, weights, x, t, h) if closed else None
+        return compiled or smooth_start(dynamics, weights, x, t, h, closed, solver)
 
     def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates:
         return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)

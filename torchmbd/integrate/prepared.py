@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.integrate.backend import backend_of
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.pullback import leaf
@@ -25,7 +26,8 @@ class Prepared(NamedTuple):
     """A system, the condensed system, and the initial states of this and of the whole; one where nothing is condensed.
 
     leaves   names of the data that are leaves of torch, of which all this is a function
-    solver   of the initial accelerations; None: they follow a switch
+    closed   the state is the start of a motion; it does not follow a switch
+    solver   of the initial accelerations, where there is one
     begin    the condensed state from which steps of a size go on; None: not known yet
     """
 
@@ -34,6 +36,7 @@ class Prepared(NamedTuple):
     start: State
     state: State
     leaves: tuple[str, ...] = ()
+    closed: bool = False
     solver: SaddleSolver | None = None
     begin: State | None = None
 
@@ -48,7 +51,7 @@ class Prepared(NamedTuple):
 
     def with_begin(self, integrator: Integrator, t: Any, h: Any) -> Prepared:
         """The same with the state from which steps of sizes h go on, at the start times t, both [1 + n, lanes]."""
-        smooth = integrator.smooth_start(self.whole, self.state, t, h, self.solver)
+        smooth = integrator.smooth_start(self.whole, self.state, t, h, self.closed, self.solver)
         if self.condensed is not self.whole:
             rows = self.condensed.initial.condensation.independent
             smooth = smooth.map(lambda y: y.index_select(0, rows))
@@ -64,7 +67,7 @@ def prepare(dynamics: Dynamics) -> Prepared:
             if condensed is not dynamics:
                 x = condensed.initial.condensation.retained_state(state)
                 x = x._replace(lam=condensed.zero_left_out(x.lam))
-        dynamics.prepared = Prepared(dynamics, condensed, x, state, leaves, solver)
+        dynamics.prepared = Prepared(dynamics, condensed, x, state, leaves, True, solver)
     return dynamics.prepared
 
 
@@ -72,7 +75,7 @@ def prepare_whole(dynamics: Dynamics) -> Prepared:
     """The same for steps of the whole system."""
     with of_leaves(dynamics) as leaves:
         state, solver = initial(dynamics)
-    return Prepared(dynamics, dynamics, state, state, leaves, solver)
+    return Prepared(dynamics, dynamics, state, state, leaves, True, solver)
 
 
 @contextmanager
@@ -97,12 +100,15 @@ def detached(dynamics: Dynamics) -> Dynamics:
     return plain
 
 
-def initial(dynamics: Dynamics) -> tuple[State, SaddleSolver]:
+def initial(dynamics: Dynamics) -> tuple[State, SaddleSolver | None]:
     """Consistent initial positions, velocities and accelerations, pairs if the data are; and the solver of these."""
     t = torch.zeros((), dtype=torch.float64)
     q, v = (_paired(x, dynamics.tangents) for x in dynamics.start)
-    solver = SaddleSolver(dynamics, t, q)
-    a, lam = dynamics.accelerations(t, q, v, solver)
+    solver, solved = None, backend_of(dynamics).accelerations(dynamics, q, v)
+    if solved is None:
+        solver = SaddleSolver(dynamics, t, q)
+        solved = dynamics.accelerations(t, q, v, solver)
+    a, lam = solved
     return State(q, v, a, a, lam), solver
 
 

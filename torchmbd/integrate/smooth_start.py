@@ -35,7 +35,7 @@ from torch import Tensor
 from torchmbd.integrate.lanes import pick_lanes
 from torchmbd.integrate.step import Weights
 from torchmbd.math.elementwise import reciprocal
-from torchmbd.math.pair import cat, cross, linear
+from torchmbd.math.pair import cat, cross
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.equations import Placement
@@ -77,42 +77,63 @@ class SmoothStart(NamedTuple):
 
 
 def smooth_start(
-    dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any, closed: SaddleSolver | None = None
+    dynamics: Dynamics,
+    weights: Weights,
+    x: State,
+    t: Any,
+    h: Any,
+    closed: bool = False,
+    solver: SaddleSolver | None = None,
 ) -> SmoothStart:
     """Return the smooth start near states x of a system that is not condensed, at times t [1 + n, lanes].
 
     weights   of a step of size one
     h         sizes of regular steps [1 + n, lanes], over which the third rates are found from positions
-    closed    the solver of the accelerations at x, where x solves the constraints with their rates: at the start of a motion
+    closed    x solves the constraints with their rates and has the accelerations of its forces: at the start of a motion
+    solver    of these accelerations, where there is one
     """
-    lag = (weights.share - 1.0) / (1.0 - weights.a_from_a)
-    rest = 1.0 / 6.0 - 0.5 * lag - weights.step_from_new
+    lag, scales = start_weights(weights)
 
     def of_time(dynamics: Dynamics, t: Tensor, q: Any, v: Any, vd: Any, h: Any) -> tuple:
-        T, solver = dynamics.topology, closed or SaddleSolver(dynamics, t, q)
+        T = dynamics.topology
 
-        def of_third_rates(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any) -> tuple:
+        def third_rates(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any) -> tuple:
             end = equations.placement(T, data, equations.advance(T, q, h * v), at_own_times(T, t[None] + h, data))
-            if closed is None:  # what a step leaves of the rates is no third rate
+            known = equations.constraints(T, at)
+            if not closed:  # what a step leaves of the rates is no third rate
                 phi = equations.constraint_jets(T, at, data, v, vd, t)
-                known = phi.value + h * phi.velocity + (0.5 * h * h) * phi.acceleration
-            else:
-                known = equations.constraints(T, at)
-            by_vd = (3.0 * reciprocal(h)) * equations.constraint_changes(T, end, data, vd)
-            return _turning(T, v, vd), (6.0 * reciprocal(h * h * h)) * (known - equations.constraints(T, end)) - by_vd
+                known = known + h * phi.velocity + (0.5 * h * h) * phi.acceleration
+            return third_rates_of_constraints(T, data, end, known, v, vd, h)
 
-        def of_turning(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any) -> tuple:
-            return (1.0 / 12.0) * _turning(T, v, vd), linear(torch.zeros_like, equations.constraints(T, at))
-
-        jerk, turning = solver.along_constraints(of_third_rates, of_turning, of=(v, vd, h))
-        return jerk, rest * jerk + turning
+        return tuple((solver or SaddleSolver(dynamics, t, q)).along_constraints(third_rates, scales, of=(v, vd, h)))
 
     jerk, offset = at_time(of_time, dynamics, t, x.q, x.v, x.vd, h)
     return SmoothStart(jerk, offset, lag)
 
 
+def start_weights(weights: Weights) -> tuple[float, tuple[tuple[float, float], tuple[float, float]]]:
+    """D, and the factors of om x om' and of the third rates of constraints in the jerk and in d (module header).
+
+    weights   of a step of size one
+    """
+    lag = (weights.share - 1.0) / (1.0 - weights.a_from_a)
+    rest = 1.0 / 6.0 - 0.5 * lag - weights.step_from_new
+    return lag, ((1.0, 1.0), (rest + 1.0 / 12.0, rest))
+
+
+def third_rates_of_constraints(T: Topology, data: Data, end: Placement, known: Any, v: Any, vd: Any, h: Any) -> tuple:
+    """om x om' as rates [n_v, ...], and Phi_q (v'' - om x om') [rows, ...].
+
+    end     placement at q o exp(h v), t + h
+    known   Phi + h Phi' + h^2/2 Phi'' [rows, ...]
+    """
+    by_vd = (3.0 * reciprocal(h)) * equations.constraint_changes(T, end, data, vd)
+    third = (6.0 * reciprocal(h * h * h)) * (known - equations.constraints(T, end)) - by_vd
+    return _turning(T, v, vd), third
+
+
 def _turning(T: Topology, v: Any, vd: Any) -> Any:
     """om x om' as rates [n_v, ...]."""
     turning = cross(equations.split_v(T, v)[1], equations.split_v(T, vd)[1])
-    n, still = 3 * T.bodies, linear(torch.zeros_like, v)
+    n, still = 3 * T.bodies, 0.0 * v
     return cat([still[:n], turning.flatten(0, 1), still[2 * n :]])

@@ -379,12 +379,18 @@ def impulses(T: Topology, data: Data, at: Placement, dv, Lam):
     """M dv + Phi_q' Lambda [n_v, ...] of changes dv of the velocities and impulses Lambda of the constraints."""
     masses = {name: x for name, x in data.items() if name not in ("gravity", "K2", "D")}
     if T.flexible:
-        masses["Kr"] = linear(torch.zeros_like, data["Kr"])
-    forces = inertia_forces(T, masses, at, linear(torch.zeros_like, dv), dv)
+        masses["Kr"] = 0.0 * data["Kr"]
+    forces = inertia_forces(T, masses, at, 0.0 * dv, dv)
     if T.rows:
         forces = [x + y for x, y in zip(forces, constraint_forces(T, data, at, Lam), strict=True)]
     force = cat([x.flatten(0, 1) for x in forces])
     return force if T.gather is None else T.gather(force)
+
+
+def along_constraints(T: Topology, data: Data, at: Placement, z, y0, r):
+    """M y + Phi_q' mu above Phi_q (y - y0) - r [n_v + rows, ...], of z = (y, mu): zero where y is along M^-1 Phi_q'."""
+    y, mu = z[: T.n_v], z[T.n_v :]
+    return cat([impulses(T, data, at, y, mu), constraint_changes(T, at, data, y - y0) - r])
 
 
 def total_on_vectors(T: Topology, data: Data, at: Placement, v, lam):

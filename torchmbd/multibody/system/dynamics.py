@@ -314,33 +314,34 @@ class SaddleSolver:
 
         return self._solution(at_zero, residual, arguments)
 
-    def along_constraints(self, *changes: Callable[..., Any], of: Sequence[Any]) -> list[Any]:
-        """y [n_v, ...] along M^-1 Phi_q' with Phi_q (y - y0) = r, for each function of changes.
+    def along_constraints(
+        self, change: Callable[..., tuple[Any, Any]], scales: Sequence[tuple[float, float]], of: Sequence[Any]
+    ) -> list[Any]:
+        """y [n_v, ...] along M^-1 Phi_q' with Phi_q (y - a y0) = b r, for each pair (a, b) of scales.
 
-        They give y0 [n_v, ...] and r [rows, ...] as functions of data, placement, q and the numbers `of`.
+        change   y0 [n_v, ...] and r [rows, ...] as functions of data, placement, q and the numbers `of`
         """
-        if isinstance(self.q, Pair) and len(changes) > 1:
-            return [y for function in changes for y in self.along_constraints(function, of=of)]
-        T = self.topology
+        if isinstance(self.q, Pair):
+            return [self._along_constraints(change, pair, of) for pair in scales]
+        # All side by side, in place of tangents.
+        a, b = (torch.tensor(x, dtype=torch.float64)[:, None] for x in zip(*scales, strict=True))
+        return list(self._along_constraints(change, (a, b), of).split(1, -2))
 
-        def known(*numbers: Any) -> tuple[Any, Any]:
-            """y0 and r of all, side by side in place of tangents."""
-            parts = zip(*(function(*numbers) for function in changes), strict=True)
-            y0, r = (cat(list(part), -2) if len(changes) > 1 else part[0] for part in parts)
-            return y0, r
+    def _along_constraints(
+        self, change: Callable[..., tuple[Any, Any]], scales: tuple[Any, Any], of: Sequence[Any]
+    ) -> Any:
+        T, (a, b) = self.topology, scales
 
         def at_zero(data: Data, at: equations.Placement, *numbers: Any) -> Tensor:
-            y0, r = known(data, at, *numbers)
-            return torch.cat([torch.zeros_like(y0), -equations.constraint_changes(T, at, data, y0) - r])
+            y0, r = change(data, at, *numbers)
+            rows = a * equations.constraint_changes(T, at, data, y0) + b * r
+            return torch.cat([rows.new_zeros(T.n_v, *rows.shape[1:]), -rows])
 
         def residual(data: Data, at: equations.Placement, q: Any, *numbers: Any) -> Any:
-            y, mu = numbers[-1][: T.n_v], numbers[-1][T.n_v :]
-            y0, r = known(data, at, q, *numbers[:-1])
-            rows = equations.constraint_changes(T, at, data, y - y0) - r
-            return cat([equations.impulses(T, data, at, y, mu), rows])
+            y0, r = change(data, at, q, *numbers[:-1])
+            return equations.along_constraints(T, data, at, numbers[-1], a * y0, b * r)
 
-        y = self._solution(at_zero, residual, of)[: T.n_v]
-        return [y] if isinstance(y, Pair) else list(y.split(1, -2))
+        return self._solution(at_zero, residual, of)[: T.n_v]
 
     def _solution(self, at_zero: Callable[..., Tensor], residual: Callable[..., Any], arguments: Sequence[Any]) -> Any:
         """As `__call__`; at_zero: the values of the residual where x is zero, as a function of its other arguments."""
