@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from torch import Tensor
 
-from torchmbd.extensions.native import steps_of_size
+from torchmbd.extensions.native import start, steps_of_size
 from torchmbd.extensions.native.backward import NativeAdjointSolver
 from torchmbd.extensions.native.codegen import build_cache
 from torchmbd.extensions.native.codegen.compiler import compilation_wanted
@@ -21,9 +21,11 @@ from torchmbd.extensions.native.steps import NativeStepper
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid
 from torchmbd.integrate.backend import Backend
 from torchmbd.integrate.ode import RightHandSide
+from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.step import Step, Weights
 from torchmbd.integrate.stepper import EagerStepper
 from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.results.state import State
 
 
 class NativeBackend(Backend):
@@ -51,6 +53,12 @@ class NativeBackend(Backend):
 
     def unknowns(self, dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
         return steps_of_size.unknowns(dynamics, step)
+
+    def accelerations(self, dynamics: Dynamics, q: Any, v: Any) -> tuple[Tensor, Tensor] | None:
+        return start.accelerations(dynamics, q, v)
+
+    def smooth_start(self, dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart | None:
+        return start.smooth_start(dynamics, weights, x, t, h)
 
     def threads(self, dynamics: Dynamics, work: Sequence[str]) -> int:
         if "step" not in work or calls_back(dynamics):

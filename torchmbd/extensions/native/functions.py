@@ -3,6 +3,7 @@
     step      a step of a one-step method (step.py), driven by steps.cpp
     adjoint   the derivative of the same step in reverse mode, driven by adjoint.cpp
     rates     the index-1 right-hand side (equations.py), driven by rates.cpp
+    start     accelerations and smooth start of a motion (smooth_start.py) with their derivative in reverse, driven by start.cpp
 
 Tangents are those of one design variable, pullbacks those of one response, so that the code does not depend on how many
 there are; all data may depend on the design.
@@ -33,6 +34,7 @@ from torchmbd.extensions.native.symbolic import (
     moving_shapes,
     shapes,
 )
+from torchmbd.integrate.smooth_start import third_rates_of_constraints
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import Pair, separate_tangents, value
@@ -110,12 +112,12 @@ class _Traced:
             self.entries = start
         return writes
 
-    def text(self, driver: str) -> str:
-        """The whole C++ text."""
+    def text(self, *drivers: str) -> str:
+        """The whole C++ text, with these files behind the generated functions."""
         functions = self.module.text()
         folder = Path(__file__).parent
-        drivers = "\n".join((folder / name).read_text() for name in ("factors.cpp", "feedback.cpp", driver))
-        return "\n".join([PRELUDE, self._declarations(), functions, drivers])
+        texts = [(folder / name).read_text() for name in ("factors.cpp", *drivers)]
+        return "\n".join([PRELUDE, self._declarations(), functions, *texts])
 
     def _declarations(self) -> str:
         """Sizes, tables, and the struct of inputs and outputs."""
@@ -295,7 +297,7 @@ def _step(kind: Kind) -> str:
         finish = [y.tangent for y in s.step.finish(s.z, s.dz)]
         s.module.moving = {"residual_tangent": s.output("R", [residual]), "finish_tangent": s.output("next", finish)}
         s.module.moving["signal_tangents"] = s.output("signals", [x.tangent for x in signals])
-    return s.text("steps.cpp")
+    return s.text("feedback.cpp", "steps.cpp")
 
 
 def _adjoint(kind: Kind) -> str:
@@ -321,53 +323,109 @@ def _adjoint(kind: Kind) -> str:
             "pull_signals_unknowns": Pullback(p, of_z)(signals, lambda index: p.load("signal_bars", index)),
             "pull_signals_known": Pullback(p, of_state | of_data)(signals, lambda index: p.load("signal_bars", index)),
         }
-    return s.text("adjoint.cpp")
+    return s.text("feedback.cpp", "adjoint.cpp")
+
+
+class _Accelerations:
+    """The residual of the accelerations at a state, and what drives prescribe there."""
+
+    def __init__(self, s: _Traced):
+        T, self.T = s.T, s.T
+        self.rate, t = s.of_step(), s.of_step()
+        self.jets: list[Any] = []
+        for i, (primitive, _) in enumerate(s.kind.primitives):
+            n = Size(f"P{i}")
+            parts = [Jet(*(s.of_step(n, 1, 1) for _ in range(3))) for _ in range(primitive.driven)]
+            self.jets.append(tuple(parts) if parts else None)
+        self.eye = Array.input(s.program, "ground_A", (3, 3, T.known_bodies, 1, 1), kind="uniform")
+        self.origin = Array.input(s.program, "ground_r", (3, T.known_bodies, 1, 1), kind="uniform")
+        self.prescribed = self.known([d and tuple(jet.value for jet in d) for d in self.jets], t)
+        self.z = Array.input(s.program, "z", (T.n_v + T.rows, 1, 1))
+
+    def known(self, laws: list[tuple | None], t: Any) -> Prescribed:
+        """What drives prescribe, of systems whose only prescribed body is the ground."""
+        return Prescribed(laws, self.eye, self.origin, t)  # pyright: ignore[reportArgumentType]
+
+    def placement(self, data: Any, q: Any) -> Any:
+        return equations.placement(self.T, data, q, self.prescribed)  # pyright: ignore[reportArgumentType]
+
+    def residual(self, z: Any, data: Any, q: Any, v: Any) -> Any:
+        T, placed = self.T, self.placement(data, q)
+        return equations.stabilized_residual(T, data, placed, v, z[: T.n_v], z[T.n_v :], self.jets, self.rate)  # pyright: ignore
+
+    def matrix(self, s: _Traced, q: Any) -> list[Write]:
+        blocks = s.blocks(s.values, self.placement(s.values, q))
+        entries = [blocks[name] for name, _ in s.blocks.shapes()]
+        return s.output("entries", [x.as_array() for x in entries if 0 not in x.shape])
 
 
 def _rates(kind: Kind) -> str:
     with separate_tangents():
         s = _Traced(kind)
-        T, p = s.T, s.program
+        T = s.T
         q, v = s.state([T.n_q, T.n_v])
-        rate, t = s.of_step(), s.of_step()
-        jets: list[Any] = []
-        for i, (primitive, _) in enumerate(kind.primitives):
-            n = Size(f"P{i}")
-            parts = [Jet(*(s.of_step(n, 1, 1) for _ in range(3))) for _ in range(primitive.driven)]
-            jets.append(tuple(parts) if parts else None)
-        eye = Array.input(p, "ground_A", (3, 3, T.known_bodies, 1, 1), kind="uniform")
-        origin = Array.input(p, "ground_r", (3, T.known_bodies, 1, 1), kind="uniform")
-        prescribed = Prescribed([d and tuple(jet.value for jet in d) for d in jets], eye, origin, t)
-        z = Array.input(p, "z", (T.n_v + T.rows, 1, 1))
-
-        def residual(z: Any, data: Any, q: Any, v: Any) -> Any:
-            placed = equations.placement(T, data, q, prescribed)  # pyright: ignore[reportArgumentType]
-            return equations.stabilized_residual(T, data, placed, v, z[: T.n_v], z[T.n_v :], jets, rate)  # pyright: ignore
+        of = _Accelerations(s)
+        plain = value(q), value(v)
 
         def signals(data: Any, q: Any, v: Any) -> list[Any]:
-            placed = equations.placement(T, data, q, prescribed)  # pyright: ignore[reportArgumentType]
-            return T.links.signals(equations.action_states(T, data, placed, v))  # pyright: ignore
+            states = equations.action_states(T, data, of.placement(data, q), v)  # pyright: ignore
+            return T.links.signals(states)
 
-        placed = equations.placement(T, s.values, value(q), prescribed)  # pyright: ignore[reportArgumentType]
-        blocks = s.blocks(s.values, placed)
-        matrix = [blocks[name] for name, _ in s.blocks.shapes()]
         s.module.values = {
-            "signals": s.output("signals", signals(s.values, value(q), value(v))),
-            "residual": s.output("R", [residual(z * 0.0, s.values, value(q), value(v))]),
-            "kinematics": s.output("next", [equations.coordinate_rates(T, value(q), value(v))]),  # pyright: ignore
-            "matrix": s.output("entries", [x.as_array() for x in matrix if 0 not in x.shape]),
+            "signals": s.output("signals", signals(s.values, *plain)),
+            "residual": s.output("R", [of.residual(of.z * 0.0, s.values, *plain)]),
+            "kinematics": s.output("next", [equations.coordinate_rates(T, *plain)]),  # pyright: ignore
+            "matrix": of.matrix(s, plain[0]),
         }
         s.module.moving = {
             "signal_tangents": s.output("signals", [x.tangent for x in signals(s.data, q, v)]),
-            "residual_tangent": s.output("R", [residual(z, s.data, q, v).tangent]),
+            "residual_tangent": s.output("R", [of.residual(of.z, s.data, q, v).tangent]),
             "kinematics_tangent": s.output("next", [equations.coordinate_rates(T, q, v).tangent]),  # pyright: ignore
         }
-    return s.text("rates.cpp")
+    return s.text("feedback.cpp", "rates.cpp")
 
 
-_KINDS: dict[str, Callable[[Kind], str]] = {"step": _step, "adjoint": _adjoint, "rates": _rates}
+def _start(kind: Kind) -> str:
+    with separate_tangents():
+        s = _Traced(kind)
+        T: Any = s.T
+        p, data = s.program, s.values
+        q, v, vd = (value(x) for x in s.state([T.n_q, T.n_v, T.n_v]))
+        by_turning, by_third, h = s.of_step(), s.of_step(), s.of_step()  # the first two: see start.cpp
+        of = _Accelerations(s)
+        laws: list[tuple | None] = [
+            tuple(s.of_step(Size(f"P{i}"), 1, 1) for _ in range(primitive.driven)) or None
+            for i, (primitive, _) in enumerate(kind.primitives)
+        ]
+
+        def along(z: Any) -> Any:
+            placed = of.placement(data, q)
+            end = equations.placement(T, data, equations.advance(T, q, h * v), of.known(laws, of.prescribed.t + h))
+            known = equations.constraints(T, placed)
+            turning, third = third_rates_of_constraints(T, data, end, known, v, vd, h)
+            return equations.along_constraints(T, data, placed, z, by_turning * turning, by_third * third)
+
+        s.module.values = {
+            "accelerations": s.output("R", [of.residual(of.z * 0.0, data, q, v)]),
+            "third_rates": s.output("R", [along(of.z * 0.0)]),
+            "matrix": of.matrix(s, q),
+        }
+        solved = [s.output("solved", [x]) for x in (of.residual(of.z, data, q, v), along(of.z))]
+        p.buffers.pop("solved")
+        p.buffer("mu", 0, "lanes")
+        for name in ("x_bar", *(f"b_{buffer_name(name)}" for name in s.names)):
+            p.buffer(name, 0, "output")
+        by = {"x": "x_bar"} | {f"d_{buffer_name(name)}": f"b_{buffer_name(name)}" for name in s.names}
+        s.module.moving = {
+            f"pull_{name}": Pullback(p, by)(writes, lambda index: p.load("mu", index))
+            for name, writes in zip(("accelerations", "third_rates"), solved, strict=True)
+        }
+    return s.text("start.cpp")
+
+
+_KINDS: dict[str, Callable[[Kind], str]] = {"step": _step, "adjoint": _adjoint, "rates": _rates, "start": _start}
 
 
 def source(kind: Kind, function: str) -> str:
-    """C++ of a kind of mechanisms: "step", "adjoint" or "rates"."""
+    """C++ of a kind of mechanisms: "step", "adjoint", "rates" or "start"."""
     return _KINDS[function](kind)

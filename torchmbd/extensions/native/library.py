@@ -1,7 +1,7 @@
 """Compiled code on disk: one shared library per kind of mechanism and function, built by the C++ compiler of the machine.
 
     kind       of mechanisms: kinds of joints and forces, not how many, nor of what sizes (symbolic.py)
-    function   "step", "adjoint" or "rates" (functions.py)
+    function   "step", "adjoint", "rates" or "start" (functions.py)
 
 A library is valid for one key: the kind, the function, the source of everything that the code is made of, and what every
 library depends on (codegen/compiler.py). Counts, tables, step size, lanes and design variables are inputs.
@@ -57,9 +57,10 @@ _SOURCES = (
     "multibody/saddle",
     "multibody/system/dynamics.py",
     "integrate/step.py",
+    "integrate/smooth_start.py",
     "extensions/native",
     "extensions/native/codegen",
-    *(f"extensions/native/{name}" for name in ("factors.cpp", "feedback.cpp", "steps.cpp", "adjoint.cpp", "rates.cpp")),
+    *(f"extensions/native/{name}" for name in ("factors.cpp", "feedback.cpp", "steps.cpp", "adjoint.cpp", "rates.cpp", "start.cpp")),
 )
 _MECHANISM, _COUNT = ctypes.c_void_p, ctypes.c_long
 _BLOCKS: list[Any] = [
@@ -78,6 +79,8 @@ _PROTOTYPES: dict[str, tuple[list[Any] | None, Any]] = {
     "adjoint_scratch": ([_MECHANISM, _COUNT, _COUNT], _COUNT),
     "rates": (None, _COUNT),
     "rates_scratch": ([_MECHANISM], _COUNT),
+    "start": (_BLOCKS, _COUNT),
+    "start_scratch": ([_MECHANISM, _COUNT], _COUNT),
 }
 _loaded: dict[str, ctypes.CDLL] = {}
 _failed: dict[str, str] = {}  # builds that failed, and why
@@ -164,7 +167,7 @@ def _mechanism(T: Topology, known: Dynamics, kind: str, name: str, code: ctypes.
     """Counts and tables of a system, made once for its topology."""
     mechanisms = _mechanisms.setdefault(T, {})
     if name not in mechanisms:
-        mechanisms[name] = Mechanism(known.topology, known.saddle.blocks.rows, kind != "rates").struct(code)
+        mechanisms[name] = Mechanism(known.topology, known.saddle.blocks.rows, kind in ("step", "adjoint")).struct(code)
     return mechanisms[name]
 
 

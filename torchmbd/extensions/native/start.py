@@ -1,0 +1,182 @@
+"""The start of motions by compiled code (start.cpp): accelerations and the smooth start of smooth_start.py, with derivatives in
+reverse mode. The same numbers as by operators of torch.
+
+These serve where data or times have tangents, where a time or a drive has design variables, where laws are called back, and
+where the factors cannot be relied on.
+Checked in tests/extensions/native/test_start.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.extensions.native.library import Library, library
+from torchmbd.extensions.native.simd_layout import LANES, addresses, in_blocks, lanes_out
+from torchmbd.integrate.lanes import expanded
+from torchmbd.integrate.smooth_start import SmoothStart, start_weights
+from torchmbd.integrate.step import Weights
+from torchmbd.math.gradients import is_differentiated
+from torchmbd.math.pair import Pair
+from torchmbd.math.threads import run_blocks
+from torchmbd.math.vmap import FirstDerivative, batch_first
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.results.state import State
+
+_NUMBERS = ("lanes", "rows", "data", "columns", "third", "numbers")
+_ARRAYS = ("shared", "values", "scales", "x", "row_mask", "diagonal_shift", "z", "z_bar", "slopes", "x_slopes", "mechanism")
+
+
+class _Job(ctypes.Structure):
+    """The struct of this name in start.cpp: fields, order and types are the same."""
+
+    _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
+
+
+def accelerations(dynamics: Dynamics, q: Any, v: Any) -> tuple[Tensor, Tensor] | None:
+    """Accelerations [n_v, 1, lanes] and multipliers [rows, 1, lanes] at t = 0; None: there is no such code."""
+    if (code := _code(dynamics, q, v)) is None:
+        return None
+    t = torch.zeros((), dtype=torch.float64)
+    z = _Start(code, dynamics, _numbers(dynamics, t, t)).solve(q, v, torch.zeros_like(v))
+    return None if z is None else (z[: dynamics.topology.n_v], z[dynamics.topology.n_v :])
+
+
+def smooth_start(dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart | None:
+    """As `smooth_start` of smooth_start.py, of states at t = 0 and steps of one size; None: there is no such code."""
+    if (code := _code(dynamics, x.q, x.v, x.vd, t, h)) is None or is_differentiated(h):
+        return None
+    lag, scales = start_weights(weights)
+    numbers = _numbers(dynamics, t.flatten()[0], h.flatten()[0])
+    z = _Start(code, dynamics, numbers, torch.tensor(scales, dtype=torch.float64)).solve(x.q, x.v, x.vd)
+    return None if z is None else SmoothStart(*z[: dynamics.topology.n_v].split(1, 1), lag)
+
+
+def _code(dynamics: Dynamics, *numbers: Any) -> Library | None:
+    T = dynamics.topology
+    if T.varying_primitives or T.prescribed_bodies or dynamics.tangents or any(isinstance(x, Pair) for x in numbers):
+        return None
+    code = library(dynamics, "start")
+    return None if code is None or code.called.actions else code
+
+
+def _numbers(dynamics: Dynamics, t: Tensor, h: Tensor) -> Tensor:
+    """What all lanes share [n, LANES]: factors, the step, the rate of the stabilization, and drives at t and t + h."""
+    T = dynamics.topology
+    jets = [jet for drive in T.law_jets(t, dynamics.data) if drive is not None for jet in drive]
+    ends = [x for drive in T.prescribed(t + h, dynamics.data).laws if drive is not None for x in drive]
+    head = torch.stack([torch.zeros_like(h), torch.zeros_like(h), h, h.new_tensor(1.0 / dynamics.stabilization), t])
+    parts = [head, *(x.flatten() for jet in jets for x in jet.parts), *(x.flatten() for x in ends)]
+    return in_blocks(torch.cat(parts).detach())
+
+
+@dataclass(eq=False)
+class _Start:
+    """Solutions at one state: the accelerations, or vectors along M^-1 Phi_q' with `scales` [columns, 2]."""
+
+    code: Library
+    dynamics: Dynamics
+    numbers: Tensor
+    scales: Tensor | None = None
+
+    def solve(self, q: Tensor, v: Tensor, vd: Tensor) -> Tensor | None:
+        """z [n_v + rows, columns, lanes], differentiable by states and data; None where factors cannot be relied on."""
+        lanes = max(self.dynamics.lanes, q.shape[-1])
+        state = [expanded(x, lanes) for x in (q, v, vd)]
+        try:
+            return _Solution.apply(self, *state, *self.dynamics.data.values())
+        except _UnreliableFactors:
+            return None
+
+    def run(self, x: Tensor, z: Tensor, z_bar: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Write z, or return cotangents of the states x [n, lanes] and of the data, both [n, rows, lanes]."""
+        values = self.code.value_blocks(self.dynamics)
+        lanes, count = x.shape[-1], -(-x.shape[-1] // LANES)
+        values = values if len(values) == count else values.expand(count, -1, -1, -1).contiguous()  # of one lane
+        data, rows = values.shape[2], 0 if z_bar is None else z_bar.shape[2]
+        slopes, x_slopes = (x.new_zeros(count, rows, n, LANES) for n in (data, len(x)))
+        row_mask, diagonal_shift = self.dynamics.diagonal() or (None, None)
+        arrays = {"shared": self.numbers, "values": values, "scales": self.scales, "x": x, "z": z, "z_bar": z_bar}
+        arrays |= {"row_mask": row_mask, "diagonal_shift": diagonal_shift, "slopes": slopes, "x_slopes": x_slopes}
+        job = _Job(
+            lanes=lanes,
+            rows=rows,
+            data=data,
+            columns=z.shape[1],
+            third=int(self.scales is not None),
+            numbers=len(self.numbers),
+            mechanism=self.code.address,
+            **addresses(arrays),
+        )
+        scratch = self.code.code.start_scratch(self.code.address, len(self.numbers))
+        if run_blocks(partial(self.code.code.start, ctypes.byref(job)), count, scratch=scratch):
+            raise _UnreliableFactors
+        return lanes_out(x_slopes, lanes), lanes_out(slopes, lanes)
+
+
+class _UnreliableFactors(Exception):
+    """Factors without pivoting are not those of the matrix."""
+
+
+class _Solution(torch.autograd.Function):
+    """(start, q, v, v', data) -> z."""
+
+    @staticmethod
+    def forward(start: _Start, q: Tensor, v: Tensor, vd: Tensor, *_: Tensor) -> Tensor:
+        T, columns = start.dynamics.topology, 1 if start.scales is None else len(start.scales)
+        z = q.new_empty(T.n_v + T.rows, columns, q.shape[-1])
+        start.run(_flat(q, v, vd), z)
+        return z
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+        ctx.start, *tensors = inputs
+        ctx.save_for_backward(output, *tensors)
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:
+        return None, *_Cotangents.apply(ctx.start, cotangents[0], *ctx.saved_tensors)
+
+
+class _Cotangents(FirstDerivative):
+    """(start, cotangent of z, z, q, v, v', data) -> cotangents of the last."""
+
+    of = "the start of a motion"
+
+    @staticmethod
+    def forward(start: _Start, z_bar: Tensor, z: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+        return tuple(x[0] for x in _pulled(start, z_bar[None], z, tensors))
+
+    @staticmethod
+    def vmap(
+        info: Any, in_dims: tuple, start: _Start, z_bar: Tensor, z: Tensor, *tensors: Tensor
+    ) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
+        rows = batch_first(z_bar, in_dims[1], info.batch_size)
+        return tuple(_pulled(start, rows, z, tensors)), (0,) * len(tensors)
+
+
+def _pulled(start: _Start, z_bar: Tensor, z: Tensor, tensors: Sequence[Tensor]) -> list[Tensor]:
+    """Cotangents [rows, ...] of states and data from rows of z."""
+    q, v, vd, *data = tensors
+    with torch.no_grad():
+        of_state, of_data = start.run(_flat(q, v, vd), z, z_bar.permute(1, 2, 0, 3).contiguous())
+        by = start.code.unflattened(start.dynamics, of_data)
+    parts = [*of_state.split([len(q), len(v), len(vd)]), *(by[name] for name in start.dynamics.data)]
+    return [_of_shape(x, y) for x, y in zip(parts, (q, v, vd, *data), strict=True)]
+
+
+def _of_shape(cotangents: Tensor, x: Tensor) -> Tensor:
+    """Cotangents [component..., rows, lanes] of x [component..., 1, lanes or 1] as [rows, *shape of x]."""
+    y = cotangents.movedim(-2, 0).unsqueeze(-2)
+    return y if y.shape[-1] == x.shape[-1] else y.sum(-1, keepdim=True)
+
+
+def _flat(q: Tensor, v: Tensor, vd: Tensor) -> Tensor:
+    """States [n, lanes]."""
+    return torch.cat([q, v, vd])[:, 0].detach().contiguous()
