@@ -31,7 +31,8 @@ from torchmbd.design.slopes import ends_of_pieces, slopes, slopes_beside_kinks
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import wraps
 
-NEWTON = 10  # steps from the maximum of the cubic to that of the quintic
+NEWTON = 10  # steps at most from the maximum of the cubic to that of the quintic
+SETTLED = 1e-15  # of an interval: a position that moves by less stays where it is
 STATIONARY = 1e-6  # slope that is taken as zero, relative to the slopes at the ends of an interval
 _NEAR = 0.25  # of a mean interval: samples so near to a switch make differences of rounding errors
 _EQUAL = 1e-9  # of the largest value: sides of a switch that are equal
@@ -331,7 +332,11 @@ def _root(root: Tensor, bracketed: Tensor, inner: Tensor, h: Tensor, *knots: Ten
         high = torch.where(bracketed & (slope <= 0.0), s, high)
         step = s - slope / torch.where(curvature < 0.0, curvature, torch.inf)
         outside = bracketed & ((step < low) | (step > high) | (curvature >= 0.0))
-        s = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
+        new = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
+        moves = (new - s).abs() > SETTLED
+        s = torch.where(moves, new, s)  # none depends on how long others move
+        if not (wraps(moves) or bool(moves.any())):
+            break
     return s, polynomial(by_s, s).abs() <= STATIONARY * h * torch.maximum(start.abs(), end.abs())
 
 

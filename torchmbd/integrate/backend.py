@@ -118,11 +118,10 @@ def with_backend(dynamics: Dynamics, backend: str, work: Sequence[str] = ("step"
     """The dynamics with the name of the backend that makes their steps.
 
     backend   name, whose obstacle is an InputError; or "auto": the first without an obstacle, which is a warning, once
-    work      as in `Backend.obstacle`; steps are those of the condensed system
+    work      as in `Backend.obstacle`
     """
-    model = dynamics.condensed() if "step" in work else dynamics
     for name in [k for k in BACKENDS if BACKENDS[k]().serves_auto()] if backend == "auto" else [backend]:
-        why = BACKENDS[name]().obstacle(model, work)
+        why = BACKENDS[name]().obstacle(dynamics, work)
         if why is None:
             return replace(dynamics, backend=name)
         if backend != "auto":

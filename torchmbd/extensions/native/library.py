@@ -90,7 +90,8 @@ _warned: set[str] = set()
 def obstacle(dynamics: Dynamics, work: Sequence[str]) -> str | None:
     """The reason why there is no native code for a system, None if there is; libraries for this work are built.
 
-    The first kind of work is needed; a library of another that cannot be built is not an obstacle.
+    The first kind of work is needed; a library of another that cannot be built is not an obstacle. Steps and their adjoint are
+    those of the condensed system.
     """
     if (why := unavailable()) is not None:
         return why
@@ -100,7 +101,16 @@ def obstacle(dynamics: Dynamics, work: Sequence[str]) -> str | None:
         return f"a law of a force cannot be compiled: {error}"
     if not work:
         return None
-    return _failed.get(_load(known, work)[0])
+    steps = with_traced_laws(dynamics.condensed()) if "step" in work else known
+    wanted = [(steps, kind) for kind in work]
+    if "step" in work and has_start(known):
+        wanted.append((known, "start"))
+    return _failed.get(_load(wanted)[0])
+
+
+def has_start(dynamics: Dynamics) -> bool:
+    """True if compiled code makes the start of a motion (start.py): its drives have no design variables, no law is called back."""
+    return not (dynamics.topology.varying_primitives or calls_back(dynamics))
 
 
 @dataclass(frozen=True)
@@ -148,7 +158,7 @@ class Library:
 def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
     """The library of a system, built if it is missing; None: operators of torch serve, with one warning."""
     known = with_traced_laws(dynamics)
-    [name] = _load(known, [kind])
+    [name] = _load([(known, kind)])
     if name in _failed and name not in _warned:
         _warned.add(name)
         warn(
@@ -171,24 +181,25 @@ def _mechanism(T: Topology, known: Dynamics, kind: str, name: str, code: ctypes.
     return mechanisms[name]
 
 
-def _load(dynamics: Dynamics, kinds: Sequence[str]) -> list[str]:
-    """Load libraries; those that are missing are built first, in parallel. Return their names."""
-    missing: dict[str, str] = {}
-    names = [key(dynamics, kind) for kind in kinds]
-    for kind, name in zip(kinds, names, strict=True):
+def _load(wanted: Sequence[tuple[Dynamics, str]]) -> list[str]:
+    """Load libraries of a system, or of its condensed one; those that are missing are built first, in parallel: their names."""
+    missing: dict[str, tuple[Dynamics, str]] = {}
+    names = [key(dynamics, kind) for dynamics, kind in wanted]
+    for (dynamics, kind), name in zip(wanted, names, strict=True):
         if name in _loaded or name in _failed:
             continue
         code = _loaded_library(_path(name, kind))
         if code is None:
-            missing[kind] = name
+            missing[name] = dynamics, kind
         else:
             _loaded[name] = code
     if not missing:
         return names
-    system = ", ".join(dynamics.topology.names)
+    system = ", ".join(wanted[0][0].topology.names)
     with stage("compiling"), ThreadPoolExecutor(len(missing)) as pool:
-        texts = [functions.source(data.kind_of(dynamics), kind) for kind in missing]  # tracing is of one thread
-        for name, path, why in pool.map(_built, missing.values(), missing, texts, repeat(system)):
+        # tracing is of one thread
+        texts = [functions.source(data.kind_of(dynamics), kind) for dynamics, kind in missing.values()]
+        for name, path, why in pool.map(_built, missing, (kind for _, kind in missing.values()), texts, repeat(system)):
             code = _loaded_library(path) if why is None else None
             if code is None:
                 _failed[name] = why or f"{path} cannot be loaded"
@@ -257,8 +268,9 @@ def build(name: str, kind: str, text: str, system: str) -> Path:
     with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
         code, made = Path(work) / "code.cpp", Path(work) / "code.so"
         code.write_text(text)
+        level = "-O1" if kind == "start" else "-O2"  # it runs once a motion: the compiler's time counts more
         done = subprocess.run(
-            [compiler(), *options(), f"-DLANES={simd_layout.LANES}", "-o", str(made), str(code)],
+            [compiler(), *options(level), f"-DLANES={simd_layout.LANES}", "-o", str(made), str(code)],
             capture_output=True,
             text=True,
         )

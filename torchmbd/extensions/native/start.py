@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.extensions.native.library import Library, library
+from torchmbd.extensions.native.library import Library, has_start, library
 from torchmbd.extensions.native.simd_layout import LANES, addresses, in_blocks, lanes_out
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.smooth_start import SmoothStart, start_weights
@@ -43,8 +43,11 @@ def accelerations(dynamics: Dynamics, q: Any, v: Any) -> tuple[Tensor, Tensor] |
     """Accelerations [n_v, 1, lanes] and multipliers [rows, 1, lanes] at t = 0; None: there is no such code."""
     if (code := _code(dynamics, q, v)) is None:
         return None
-    t = torch.zeros((), dtype=torch.float64)
-    z = _Start(code, dynamics, _numbers(dynamics, t, t)).solve(q, v, torch.zeros_like(v))
+    T, t = dynamics.topology, torch.zeros((), dtype=torch.float64)
+    jets = [jet for drive in T.law_jets(t, dynamics.data) if drive is not None for jet in drive]
+    parts = [x for jet in jets for x in jet.parts]
+    numbers = _numbers(t, 1.0 / dynamics.stabilization, parts, [jet.value for jet in jets])
+    z = _Start(code, dynamics, numbers).solve(q, v, torch.zeros_like(v))
     return None if z is None else (z[: dynamics.topology.n_v], z[dynamics.topology.n_v :])
 
 
@@ -53,27 +56,25 @@ def smooth_start(dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any)
     if (code := _code(dynamics, x.q, x.v, x.vd, t, h)) is None or is_differentiated(h):
         return None
     lag, scales = start_weights(weights)
-    numbers = _numbers(dynamics, t.flatten()[0], h.flatten()[0])
+    T, h = dynamics.topology, h.flatten()[0]
+    schedule = T.schedule(torch.stack([t.flatten()[0], h]), dynamics.data)
+    laws = [x for drive in schedule.laws if drive is not None for x in drive]  # their rates do not enter
+    numbers = _numbers(h, 0.0, [y for x in laws for y in (x[0], 0.0 * x[0], 0.0 * x[0])], [x[1] for x in laws])
     z = _Start(code, dynamics, numbers, torch.tensor(scales, dtype=torch.float64)).solve(x.q, x.v, x.vd)
     return None if z is None else SmoothStart(*z[: dynamics.topology.n_v].split(1, 1), lag)
 
 
 def _code(dynamics: Dynamics, *numbers: Any) -> Library | None:
-    T = dynamics.topology
-    if T.varying_primitives or T.prescribed_bodies or dynamics.tangents or any(isinstance(x, Pair) for x in numbers):
+    if dynamics.tangents or any(isinstance(x, Pair) for x in numbers) or not has_start(dynamics):
         return None
-    code = library(dynamics, "start")
-    return None if code is None or code.called.actions else code
+    return library(dynamics, "start")
 
 
-def _numbers(dynamics: Dynamics, t: Tensor, h: Tensor) -> Tensor:
-    """What all lanes share [n, LANES]: factors, the step, the rate of the stabilization, and drives at t and t + h."""
-    T = dynamics.topology
-    jets = [jet for drive in T.law_jets(t, dynamics.data) if drive is not None for jet in drive]
-    ends = [x for drive in T.prescribed(t + h, dynamics.data).laws if drive is not None for x in drive]
-    head = torch.stack([torch.zeros_like(h), torch.zeros_like(h), h, h.new_tensor(1.0 / dynamics.stabilization), t])
-    parts = [head, *(x.flatten() for jet in jets for x in jet.parts), *(x.flatten() for x in ends)]
-    return in_blocks(torch.cat(parts).detach())
+def _numbers(h: Tensor, rate: float, jets: Sequence[Tensor], ends: Sequence[Tensor]) -> Tensor:
+    """What all lanes share [n, LANES]: factors (start.cpp), the step h [], the rate of the stabilization, the time, and what
+    drives prescribe, with its derivatives, at t = 0 and after the step."""
+    head = torch.cat([h.new_zeros(2), h[None], h.new_tensor([rate, 0.0])])
+    return in_blocks(torch.cat([head, *(x.flatten() for x in (*jets, *ends))]).detach())
 
 
 @dataclass(eq=False)

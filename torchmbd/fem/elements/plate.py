@@ -136,9 +136,9 @@ class PlateMatrices:
         nodes, area, *_ = self.covering_triangles
         thirds = (area / 3.0)[:, None].expand(-1, 3).flatten()
         self.area = area.new_zeros(len(mesh.nodes)).index_add(0, nodes.flatten(), thirds)
-        self._maps: list[
-            tuple[Tensor | None, _Numbers]
-        ] = []  # for each choice of entries, of a body and its load cases
+        # for each choice of entries, of a body and its load cases
+        self._maps: list[tuple[Tensor | None, _Numbers]] = []
+        self._unmoved: tuple[Tensor, ...] | None = None  # what a mean that had not moved was computed from
 
     @property
     def numbers(self) -> int:
@@ -206,6 +206,10 @@ class PlateMatrices:
 
     def moved_mean(self, laminate: Laminate) -> Float[Tensor, "*lanes 3"] | None:
         """`present_mean` where it differs from the constants of these matrices, or is differentiated; else None."""
+        inputs = (*laminate.layer_stiffness, laminate.layer_thickness)  # all that it depends on
+        fixed = not any(is_differentiated(x) for x in inputs)
+        if fixed and self._unmoved and all(map(torch.equal, inputs, self._unmoved)):
+            return None
         mean = present_mean(laminate)
         start = torch.tensor([self.mean.poisson, self.mean.shear_length, self.mean.bending_length], dtype=mean.dtype)
         same = (untransformed(mean) - start).abs() <= _SAME * start.abs()
@@ -217,7 +221,10 @@ class PlateMatrices:
             varied = any(
                 is_differentiated(x) for x in (*numbers, getattr(laminate, "thickness", None)) if isinstance(x, Tensor)
             )
-        return None if bool(same.all()) and not varied else mean
+        if varied or not bool(same.all()):
+            return mean
+        self._unmoved = inputs if fixed else None
+        return None
 
     def values(
         self,

@@ -41,9 +41,9 @@ def compiler() -> str:
     return os.environ.get("CXX", "g++")
 
 
-def options() -> list[str]:
-    """Options of the compiler for the code of mechanisms: the user's come last."""
-    return ["-O2", *OPTIONS, *shlex.split(os.environ.get("TORCHMBD_CXXFLAGS", ""))]
+def options(level: str = "-O2") -> list[str]:
+    """Options of the compiler for the code of mechanisms, with a level of optimization: the user's come last."""
+    return [level, *OPTIONS, *shlex.split(os.environ.get("TORCHMBD_CXXFLAGS", ""))]
 
 
 def compilation_wanted() -> bool:
