@@ -31,7 +31,7 @@ DESIGNS, FIGURE, SERIAL, STEPS = (32, 128), 32, 128, 500
 REPEAT = 3  # of each, in turns: the part takes about a minute
 MANY = 16  # cores for which the gain is predicted
 ANGLES = "rod.laminate.angles"
-_NATIVE = [f"torchmbd.extensions.native.{name}" for name in ("steps", "backward", "compiled_products")]
+_NATIVE = [f"torchmbd.extensions.native.{name}" for name in ("start", "steps", "backward", "compiled_products")]
 _SHARED = ["torchmbd.math.threads", *_NATIVE]
 _worker: dict[str, Any] = {}
 

@@ -109,8 +109,10 @@ def obstacle(dynamics: Dynamics, work: Sequence[str]) -> str | None:
 
 
 def has_start(dynamics: Dynamics) -> bool:
-    """True if compiled code makes the start of a motion (start.py): its drives have no design variables, no law is called back."""
-    return not (dynamics.topology.varying_primitives or calls_back(dynamics))
+    """True if compiled code makes the start of a motion (start.py): there are joints, their drives have no design variables, and
+    no law is called back."""
+    T = dynamics.topology
+    return bool(T.rows) and not (T.varying_primitives or calls_back(dynamics))
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """The start of motions by compiled code (start.cpp): accelerations and the smooth start of smooth_start.py, with derivatives in
 reverse mode. The same numbers as by operators of torch.
 
-These serve where data or times have tangents, where a time or a drive has design variables, where laws are called back, and
-where the factors cannot be relied on.
+These serve where data or times have tangents, where a time or a drive has design variables, where laws are called back or no
+joints are there, and where the factors cannot be relied on.
 Checked in tests/extensions/native/test_start.py.
 """
 

@@ -29,6 +29,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmbd.math.lane_groups import by_groups
 from torchmbd.math.module_call import outside_transforms
 
 BLOCK = 8  # columns, which fill the registers of a processor
@@ -99,7 +100,7 @@ class Recurrence:
     def ritz(self, stride: int) -> Ritz:
         """Return the Ritz pairs of each `stride`-th lane."""
         k = self.steps * self.X.shape[2]
-        mu, V = torch.linalg.eigh(self.T[::stride, :k, :k], UPLO="U")
+        mu, V = by_groups(lambda T: tuple(torch.linalg.eigh(T, UPLO="U")), self.T[::stride, :k, :k])
         return Ritz(mu.flip(-1), self.Q[::stride, :, :k], V.flip(-1), self.X[::stride], self.R[::stride])
 
 
