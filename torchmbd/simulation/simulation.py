@@ -46,7 +46,7 @@ from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.phases.phase import ONE_PHASE, Phase, phases_within
+from torchmbd.integrate.phases.phase import ONE_PHASE, Phase
 from torchmbd.integrate.phases.segment import (
     DURATION,
     Segment,
@@ -177,10 +177,6 @@ class Simulation(Summary):
     def with_arguments(self, **arguments: Any) -> Simulation:
         """A simulation with some other arguments, checked and prepared anew."""
         return Simulation(**{"system": self.system, "duration": self.duration} | self.settings | arguments)
-
-    def beginning(self, seconds: float, steps: int | None) -> Simulation:
-        """A simulation of the first part of its motion [s], by so many steps; without the phases that begin later."""
-        return self.with_arguments(duration=seconds, steps=steps, phases=phases_within(self.phases, seconds))
 
     def _summary(self) -> list[tuple[str, Any]]:
         return [
