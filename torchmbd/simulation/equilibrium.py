@@ -321,7 +321,7 @@ def equilibrium(
         warn_static_truncation(system)
         names = variable_names(system, design_values, "auto", variables, False)
         turning_lanes = 1 if rotation is None else rotation.spin.shape[-1]
-        batch = lanes_of_batch(system, design_values, names, max(initial.lanes, turning_lanes))
+        batch = lanes_of_batch(system, design_values, names, {"start": initial.lanes, "spin": turning_lanes})
         dynamics, shapes = system.stages(batch)
         data = dynamics.data | ({} if rotation is None else {SPIN: rotation.spin})
         integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, follow, rotation, unstable)

@@ -243,7 +243,7 @@ class Simulation(Summary):
             check_start(start, gradients, integrator)
             if gradients != "none":
                 refuse_other_designs(names, design_values)
-            batch = lanes_of_batch(system, design_values, names, start.lanes)
+            batch = lanes_of_batch(system, design_values, names, {"start": start.lanes})
             if gradients in ("forward", "reverse"):
                 leaves = {k for k, x in batch.items() if k in names and not is_differentiated(x)}
                 batch = {k: x.detach().clone().requires_grad_() if k in leaves else x for k, x in batch.items()}
