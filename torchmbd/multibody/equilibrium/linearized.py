@@ -26,6 +26,7 @@ from torch import Tensor
 
 from torchmbd.errors import DesignFailure
 from torchmbd.fem.reduction.padding import is_padding
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.data import Data
@@ -438,7 +439,7 @@ def null_space(J: Tensor, scale: Tensor) -> Tensor:
     """
     bound = (J != 0.0).any(0)
     basis = [torch.diag(scale)[:, ~bound]]
-    for rows, columns in _blocks(J):
+    for rows, columns in outside_transforms(_blocks, J):
         A = J[rows][:, columns] * scale[columns]
         _, s, Vh = torch.linalg.svd(A / A.norm(dim=1, keepdim=True), full_matrices=True)
         null = Vh[int((s > RELATIVE * s[0]).sum()) :].T
