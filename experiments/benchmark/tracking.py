@@ -114,10 +114,10 @@ def logging(file: Path, table: bool) -> None:
         uri = f"sqlite:///{folder}/runs.db"
         open_store(uri)
         tracker = MlflowTracker("logging", uri)
-        journal = Journal(plan, tracker, Path(folder))
+        journal = Journal(plan, Console(quiet=True), tracker)
 
         def tell() -> None:
-            journal.begin_study("study")
+            journal.begin_study()
             x = np.full(n, 0.1)
             for k in range(STARTS):
                 journal.begin_start(k, x)

@@ -21,7 +21,7 @@ import torch
 import torchmbd as mbd
 from torchmbd.errors import argument_names
 from torchmbd.study.record import paths
-from torchmbd.study.record.paths import problem_key, study_key
+from torchmbd.study.record.paths import problem_key
 
 PACKAGE = Path(mbd.__file__).parent
 NAME, THICKNESS = "arm.laminate.angles", "arm.laminate.thickness"
@@ -207,7 +207,7 @@ KINDS: dict[str, tuple[Callable[[], Any], dict[str, Any]]] = {
 
 def keys_of(one: Any, options: dict[str, Any]) -> tuple[str, ...]:
     study = mbd.Study(one, **options)
-    return problem_key(one), problem_key(study.simulated), study_key(study, "sqlite:///runs.db")
+    return problem_key(one), problem_key(study.simulated), study.key("sqlite:///runs.db")
 
 
 @pytest.mark.thorough
@@ -258,11 +258,11 @@ def test_the_use_of_a_problem_leaves_its_keys(kind, tmp_path):
 def test_the_use_of_a_system_leaves_the_keys_of_its_problems(changes):
     system = mbd.examples.arm()
     one = problem(system, **changes)
-    before = problem_key(one), study_key(mbd.Study(one), "sqlite:///runs.db")
+    before = problem_key(one), mbd.Study(one).key("sqlite:///runs.db")
     one.evaluate(one.start[None], True)
     use(system)
     for other in (one, problem(system, **changes), copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
-        assert (problem_key(other), study_key(mbd.Study(other), "sqlite:///runs.db")) == before
+        assert (problem_key(other), mbd.Study(other).key("sqlite:///runs.db")) == before
     assert problem_key(mbd.Differences(one)) == problem_key(mbd.Differences(problem(**changes)))
 
 

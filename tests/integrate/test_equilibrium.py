@@ -222,3 +222,21 @@ def test_frequencies_have_derivatives_in_every_mode():
     assert_close(forward, dual, rtol=1e-12, atol=0.0)
     assert_close(forward, reverse, rtol=1e-9, atol=0.0)
     assert_close(forward, expected, rtol=1e-6, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("designs", "start", "argument", "words"),
+    [
+        (3, 1, "designs", "'bob.mass': 3, 'spin': 2"),
+        (1, 3, "spin", "'start': 3, 'spin': 2"),
+        (3, 4, "designs", "'bob.mass': 3, 'start': 4, 'spin': 2"),
+    ],
+)
+def test_the_argument_whose_lanes_differ_is_named(designs, start, argument, words):
+    bob = mbd.RigidBody("bob", mbd.variable(1.0), (0.1, 0.1, 0.1), position=(0.0, 0.0, -1.0))
+    system = mbd.System([bob], [mbd.Spherical(mbd.Ground().at(), bob.at(0.0, 0.0, 1.0))], gravity=(0.0, 0.0, -9.81))
+    lanes = {"bob.mass": torch.linspace(1.0, 2.0, designs, dtype=torch.float64)}
+    guess = {"bob.position": tensor(0.0, 0.0, -1.0).expand(start, 3)}
+    with pytest.raises(mbd.InputError, match=words) as caught:
+        mbd.equilibrium(system, designs=lanes, start=guess, spin=tensor([0.0, 0.0, 1.0], [0.0, 0.0, 2.0]))
+    assert caught.value.argument == argument

@@ -123,3 +123,45 @@ def test_gradients_by_what_is_given_for_the_start():
 
         expected = (4.0 * slope(h) - slope(2.0 * h)) / 3.0
         assert_close(w.grad @ way[0] + v.grad @ way[1], expected, rtol=1e-6, atol=0)
+
+
+def two_springs(kind: str, soft: float, stiff: float) -> mbd.System:
+    """A soft and a stiff spring: of two sliders, of one behind the other, or in two directions of one body."""
+    slider, other = box("slider"), box("other", position=(0.5, 0.0, 0.0))
+    if kind == "directions":
+        spring = mbd.Bushing(GROUND.at(), slider.at(), (V(soft), stiff, stiff), turning_stiffness=stiff, name="soft")
+        return mbd.System([slider], [], [spring, mbd.Force(slider.at(), (0.5, 0.0, 1.0), name="push")])
+    foot = GROUND.at(0.5, 0.0, 0.0) if kind == "apart" else slider.at(0.5, 0.0, 0.0)
+    joints = [mbd.Prismatic(x, y.at(), axis="x") for x, y in ((GROUND.at(), slider), (GROUND.at(0.5, 0, 0), other))]
+    forces = [
+        mbd.Bushing(GROUND.at(), slider.at(), (V(soft), 0.0, 0.0), name="soft"),
+        mbd.Bushing(foot, other.at(), (stiff, 0.0, 0.0), name="stiff"),
+        mbd.Force(slider.at(), (0.5, 0.0, 0.0), name="push"),
+        mbd.Force(other.at(), (3.0, 0.0, 0.0), name="pull"),
+    ]
+    return mbd.System([slider, other], joints, forces)
+
+
+@pytest.mark.parametrize("soft", [10.0, 1e-2])
+@pytest.mark.parametrize(
+    ("kind", "stiff"),
+    [(x, y) for x in ("apart", "directions") for y in (1e6, 1e12)] + [("apart", 1e14), ("behind", 1e10)],
+)
+def test_a_soft_spring_beside_a_stiff_one_moves(kind: str, stiff: float, soft: float):
+    """The travel F / k and its derivative -F / k^2 do not depend on the stiffness beside k, in both modes."""
+    system = two_springs(kind, soft, stiff)
+    [(name, k)] = [(n, x) for n, x in system.named_parameters() if n.startswith("soft")]
+    force = 3.5 if kind == "behind" else 0.5
+
+    def travel(k: Tensor) -> Tensor:
+        return mbd.equilibrium(system, designs={name: k}).body("slider").r[0, 0, 0]
+
+    assert_close(travel(k.detach()), tensor(force / soft).squeeze(), rtol=1e-12, atol=0)
+    for differentiate in (torch.func.jacrev, torch.func.jacfwd):
+        slope = differentiate(travel)(k.detach()).sum()
+        assert_close(slope, tensor(-force / soft**2).squeeze(), rtol=1e-8, atol=0)
+
+
+def test_a_spring_below_the_rounding_of_a_stiff_one_is_refused():
+    with pytest.raises(mbd.DesignFailure, match="remain on force x"):
+        mbd.equilibrium(two_springs("behind", 1e-2, 1e12))

@@ -166,13 +166,13 @@ def test_a_cluster_that_cannot_be_used_ends_a_study_at_once(slurm, folder, monke
     monkeypatch.setenv("PATH", str(slurm))
     assert cli.main(["run", "study.yaml", "--scheduler", str(write(slurm)), "--workers", "2"]) == 2
     assert "this machine has no sbatch" in capsys.readouterr().err
-    assert not unsent()
+    assert not list(unsent())
 
 
 def test_the_command_that_goes_on_keeps_the_workers(folder, monkeypatch):
     monkeypatch.chdir(folder)
     study = StudyState(
-        folder / ".torchmbd" / "key", "arm", "../my arm.yaml", ["starts.count=3"], "sqlite:///x.db", "id"
+        folder / ".torchmbd" / "key", "arm", "../my arm.yaml", ["starts.count=3"], "arms", "sqlite:///x.db", "id"
     )
     assert study.command() == "torchmbd run 'my arm.yaml' starts.count=3"
     assert study.command(workers=1, scheduler=None, fresh=False) == study.command()

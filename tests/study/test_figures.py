@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from torchmbd.errors import MbdError
-from torchmbd.study.figures import FiguresPlan, figures_key, run_figures
+from torchmbd.study.figures import FiguresPlan, run_figures
 from torchmbd.study.file.faults import StudyError
 from torchmbd.study.file.load import load, load_study
 from torchmbd.study.record.unfinished import claim_study
@@ -85,8 +85,7 @@ def test_figures_leave_nothing_behind_and_go_on_after_a_death(write, tmp_path, e
     file = write("figures: figures.py:figures\ntracking: {experiment: drawn}\n")
     _, plan = load(file)
     assert isinstance(plan, FiguresPlan)
-    key = figures_key(plan, uri)
-    with claim_study(key, plan.name, file, (), uri) as dead:  # logged, and the power went off
+    with claim_study(plan, uri) as dead:  # logged, and the power went off
         tracker = MlflowTracker("drawn", uri, dead.id)
         tracker.begin("study", "pictures")
         tracker.close()

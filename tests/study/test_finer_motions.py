@@ -46,7 +46,7 @@ def test_numbers_of_a_study_are_of_one_model(tmp_path: Path, empty_store: Path) 
     np.testing.assert_allclose(best.x, alone.x, rtol=1e-9)
     assert best.history[0].accuracy == best.problem.accuracy == f"{best.problem.steps} steps"
     assert code == 0, output.getvalue()
-    tags = find(tracker.record.uri, tracker.record.runs["study"]).tags
+    tags = find(tracker.uri, tracker.record.runs["study"]).tags
     assert tags["accuracy"] == best.problem.accuracy
     assert "1 of 1 start converged; better than the start, 2" in tags["search"]
     assert "lower bound of bob.mass" in tags["active"]

@@ -59,14 +59,20 @@ def entry_labels(system: System, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def lanes_of_batch(
-    system: System, designs: Mapping[str, Tensor], names: Sequence[str], start_lanes: int
+    system: System, designs: Mapping[str, Tensor], names: Sequence[str], arguments: Mapping[str, int] | None = None
 ) -> dict[str, Tensor]:
-    """Designs, and own values of the other variables `names`, all with the same lanes [lanes, ...]."""
-    parameters = dict(system.named_parameters())
+    """Designs, and own values of the other variables `names`, all with the same lanes [lanes, ...].
+
+    arguments   number of lanes of other arguments, such as "start", by their names
+    """
+    parameters, others = dict(system.named_parameters()), arguments or {}
     batch = {name: parameters[name][None] for name in names if name not in designs} | dict(designs)
-    counts = {name: x.shape[0] for name, x in batch.items()}
-    lanes = max([*counts.values(), start_lanes])
-    if not {1, lanes}.issuperset([*counts.values(), start_lanes]):
-        start = f" and start {start_lanes}" if start_lanes > 1 else ""
-        raise InputError("designs", designs, "the same number for all, or one", state=f"have lanes {counts}{start}")
+    counts = {name: x.shape[0] for name, x in batch.items()} | dict(others)
+    lanes = max(counts.values(), default=1)
+    if not {1, lanes}.issuperset(counts.values()):
+        wrong = [name for name, n in counts.items() if n > 1]
+        argument = "designs" if set(wrong) & set(batch) else wrong[-1]
+        shown = ", ".join(f"{name!r}: {counts[name]}" for name in wrong)
+        value, allowed = {name: counts[name] for name in wrong}, "the same number for all, or one"
+        raise InputError(argument, value, allowed, noun="numbers of lanes", state=f"differ: {shown}")
     return {name: x.clone().expand(lanes, *x.shape[1:]) for name, x in batch.items()}

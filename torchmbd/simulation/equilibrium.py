@@ -85,14 +85,16 @@ class Equilibrium(Trajectory):
         """Natural frequencies [lanes, freedoms] [Hz] at the last time, without damping; see Vibrations.
 
         Differentiable like the motion. A derivative of a frequency that is zero or nan, or of a single frequency of several
-        that coincide, raises InputError.
+        that coincide, raises InputError. Designs may retain different numbers of modes: frequencies of modes that a lane does
+        not retain, but another lane does, are infinite and come last.
         """
         return self._eigenvalues("natural") / (2.0 * math.pi)
 
     @property
     def poles(self) -> Tensor:
         """Poles [lanes, 2 freedoms] [1/s], complex, at the last time, in rising order of the size of the imaginary part, then
-        of the real one; differentiable as the frequencies are."""
+        of the real one; differentiable as the frequencies are. Those of modes that a lane does not retain are infinite, with a
+        real part of -inf."""
         return self._eigenvalues("poles")
 
     @property
@@ -107,19 +109,13 @@ class Equilibrium(Trajectory):
             self._known_eigenvalues[key] = self.eigenvalues(kind).T
         return self._known_eigenvalues[key]
 
-    def eigenvalues(
-        self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False, lanes: Sequence[int] | None = None
-    ) -> Tensor:
+    def eigenvalues(self, kind: str, modes: Sequence[int] | None = None, symmetric: bool = False) -> Tensor:
         """Eigenvalues [k, lanes] at the last time of `kind` "natural" [rad/s] or "poles" [1/s].
 
-        modes   their numbers from 0; None: all that each of the lanes has
-        lanes   of the equilibrium; None: all
+        modes   their numbers from 0; None: all, infinite for modes that a lane does not retain
         """
-        dynamics, q = self.dynamics, self.signals.history.q[-1]  # pyright: ignore[reportAttributeAccessIssue]
-        if lanes is not None and list(lanes) != list(range(self.lanes)):
-            dynamics, q = dynamics.select_lanes(list(lanes)), q[..., list(lanes)]
-        arguments = dynamics, q, self.t[-1], self.rotation, kind, modes, symmetric
-        return of_equilibrium("eigenvalues")(*arguments)
+        q = self.signals.history.q[-1]  # pyright: ignore[reportAttributeAccessIssue]
+        return of_equilibrium("eigenvalues")(self.dynamics, q, self.t[-1], self.rotation, kind, modes, symmetric)
 
     @property
     def stable(self) -> bool:
@@ -325,7 +321,7 @@ def equilibrium(
         warn_static_truncation(system)
         names = variable_names(system, design_values, "auto", variables, False)
         turning_lanes = 1 if rotation is None else rotation.spin.shape[-1]
-        batch = lanes_of_batch(system, design_values, names, max(initial.lanes, turning_lanes))
+        batch = lanes_of_batch(system, design_values, names, {"start": initial.lanes, "spin": turning_lanes})
         dynamics, shapes = system.stages(batch)
         data = dynamics.data | ({} if rotation is None else {SPIN: rotation.spin})
         integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, follow, rotation, unstable)

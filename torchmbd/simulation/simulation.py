@@ -46,7 +46,7 @@ from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.memory import require_memory
 from torchmbd.integrate.motion import Motion
 from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.phases.phase import ONE_PHASE, Phase, phases_within
+from torchmbd.integrate.phases.phase import ONE_PHASE, Phase
 from torchmbd.integrate.phases.segment import (
     DURATION,
     Segment,
@@ -178,10 +178,6 @@ class Simulation(Summary):
         """A simulation with some other arguments, checked and prepared anew."""
         return Simulation(**{"system": self.system, "duration": self.duration} | self.settings | arguments)
 
-    def beginning(self, seconds: float, steps: int | None) -> Simulation:
-        """A simulation of the first part of its motion [s], by so many steps; without the phases that begin later."""
-        return self.with_arguments(duration=seconds, steps=steps, phases=phases_within(self.phases, seconds))
-
     def _summary(self) -> list[tuple[str, Any]]:
         return [
             ("bodies", ", ".join(body.name for body in self.system.bodies)),
@@ -247,7 +243,7 @@ class Simulation(Summary):
             check_start(start, gradients, integrator)
             if gradients != "none":
                 refuse_other_designs(names, design_values)
-            batch = lanes_of_batch(system, design_values, names, start.lanes)
+            batch = lanes_of_batch(system, design_values, names, {"start": start.lanes})
             if gradients in ("forward", "reverse"):
                 leaves = {k for k, x in batch.items() if k in names and not is_differentiated(x)}
                 batch = {k: x.detach().clone().requires_grad_() if k in leaves else x for k, x in batch.items()}

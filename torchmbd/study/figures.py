@@ -9,10 +9,7 @@ Every picture in the folder becomes an artifact of the run; numbers become metri
 from __future__ import annotations
 
 import math
-import tempfile
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -21,13 +18,13 @@ from rich.markup import escape
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.study.file.faults import Fault
-from torchmbd.study.file.kind import Kind, Source
+from torchmbd.study.file.kind import FilePlan, Kind, Source
 from torchmbd.study.file.model import find_function, option_faults, require_returns
 from torchmbd.study.file.schema import FUNCTION, Tracking
 from torchmbd.study.file.section import Section
 from torchmbd.study.record.paths import file_key
 from torchmbd.study.record.run_record import RunRecord
-from torchmbd.study.record.runs import PARENT, Runs
+from torchmbd.study.record.unfinished import PARENT
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.uri import StoreURI
 
@@ -52,20 +49,16 @@ class Figures(Section):
         return self.model_dump(mode="json", exclude_none=True)
 
 
-@dataclass(frozen=True)
-class FiguresPlan:
+class FiguresPlan(FilePlan):
     """An experiment file that draws figures."""
 
-    data: Figures
-    source: Source
-
     @property
-    def name(self) -> str:
-        return self.source.name
+    def kind(self) -> str:
+        return "figures"
 
-    @property
-    def uri(self) -> StoreURI | None:
-        return self.data.tracking.uri
+    def key(self, store: StoreURI | str) -> str:
+        """Return the hash of the file, with its store."""
+        return file_key(self.resolved(), self.name, store)
 
 
 def _read(source: Source, sections: dict[str, Any], faults: list[Fault]) -> FiguresPlan | list[Fault]:
@@ -82,11 +75,6 @@ def _read(source: Source, sections: dict[str, Any], faults: list[Fault]) -> Figu
     return faults or FiguresPlan(Figures.model_construct(**sections), source)
 
 
-def figures_key(plan: FiguresPlan, uri: StoreURI | str) -> str:
-    """Return the hash of an experiment file of figures, with its store."""
-    return file_key(plan.data.resolved(), plan.name, uri)
-
-
 def _check(plan: FiguresPlan, console: Console) -> int:
     console.print(f"{plan.source.path} is valid: figures by {plan.data.figures}", markup=False, soft_wrap=True)
     return 0
@@ -100,7 +88,6 @@ def run_figures(
     scheduler: str | None = None,
     fresh: bool = False,
     uri: str | StoreURI | None = None,
-    offline: bool = False,
 ) -> int:
     """Draw and track the figures; return the exit code. Arguments as in run.run_study; figures are always drawn."""
     if workers != 1 or scheduler is not None:
@@ -109,37 +96,32 @@ def run_figures(
             workers,
             rule="must be left out, like scheduler, because one process draws the figures",
         )
-    origin, where = (plan.source.path, plan.source.overrides), (plan.data.tracking.experiment, uri or plan.uri)
-    key = partial(figures_key, plan)
-    with (
-        RunRecord.opened(plan.name, "figures", console, key, origin, where, tracker, fresh) as record,
-        tempfile.TemporaryDirectory(prefix="torchmbd-") as folder,
-    ):
-        runs = Runs(record.tracker, Path(folder))
-        runs.begin(plan.name, plan.data.resolved(), {"kind": "figures"}, *origin, plan.source.question)
-        record.carry_out(partial(_draw, plan, runs, console))
+    record = RunRecord(plan, console, tracker, uri)
+    with record.claimed(fresh):
+        record.begin({})
+        record.carry_out(partial(_draw, plan, record, console))
         return record.tell_outcome()
 
 
-def _draw(plan: FiguresPlan, runs: Runs, console: Console) -> Status:
+def _draw(plan: FiguresPlan, record: RunRecord, console: Console) -> Status:
     draw = find_function(plan.data.figures, plan.source.folder)
     try:
-        shown = draw(folder=runs.folder, **plan.data.options)
+        shown = draw(folder=record.folder, **plan.data.options)
     except MbdError:
         raise
     except Exception as error:  # an error of the user's function, not of torchmbd
         raise MbdError(f"{plan.data.figures}: {type(error).__name__}: {error}") from error
     numbers = {key: float(value) for key, value in shown.items() if not isinstance(value, str)}
     words = {key: value for key, value in shown.items() if isinstance(value, str)}
-    runs.tracker.metrics(PARENT, {key: value for key, value in numbers.items() if math.isfinite(value)})
+    record.tracker.metrics(PARENT, {key: value for key, value in numbers.items() if math.isfinite(value)})
     if SENTENCE in words:
         words["mlflow.note.content"] = words[SENTENCE]
         console.print(escape(words[SENTENCE]), soft_wrap=True)
-    runs.tracker.tags(PARENT, words)
-    for file in sorted(runs.folder.rglob("*")):
+    record.tracker.tags(PARENT, words)
+    for file in sorted(record.folder.rglob("*")):
         if file.suffix in PICTURES:
-            runs.file(file, "figures")
+            record.file(file, "figures")
     return "FINISHED"
 
 
-FIGURES = Kind("draws figures; allowed here: a study or a sweep", Figures, _read, figures_key, run_figures, _check)
+FIGURES = Kind("draws figures; allowed here: a study or a sweep", Figures, _read, run_figures, _check)

@@ -14,7 +14,7 @@ from torchmbd.errors import InputError
 from torchmbd.optimization import Front
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.study.record.journal import Journal
-from torchmbd.study.record.runs import child
+from torchmbd.study.record.run_record import child
 from torchmbd.study.report.progress import SearchCounter, print_table, shown_rows, table_of
 from torchmbd.study.report.terminal import save_figure, write_points
 from torchmbd.study.settings import StudySettings
@@ -27,7 +27,7 @@ def run_front(
 ) -> tuple[Front | None, Status]:
     """Find the front, print it, and file every point."""
     options: dict[str, Any] = {"max_lanes": lanes} | study.options
-    journal.begin_study(study.kind)
+    journal.begin_study()
     title = f"{study.name}: front of {', '.join(study.problem.criteria)}"
     try:
         with SearchCounter(title, console) as searches:
@@ -48,7 +48,7 @@ def run_front(
         numbers = dict(zip(journal.criteria.values(), point.criteria.tolist(), strict=True))
         numbers |= {"objective": float(point.criteria[0]), "violation": point.result.violation}
         journal.tracker.metrics(child(k), numbers | journal.design_metrics(point.x))
-        journal.status(k, point.result)
+        journal.ended(k, point.result)
         journal.tracker.end(child(k), "FINISHED")
     _show(study, front, journal, console)
     journal.summary({"points": len(front.points), "dropped_points": front.dropped, "failed_points": front.failed}, {})

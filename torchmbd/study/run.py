@@ -9,13 +9,10 @@ Checked in tests/study/test_run.py, test_resume.py.
 from __future__ import annotations
 
 import math
-import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial
-from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -36,8 +33,8 @@ from torchmbd.study.front import run_front
 from torchmbd.study.record.evaluations import Evaluations
 from torchmbd.study.record.journal import Journal
 from torchmbd.study.record.metric_names import CONVERGED, STARTS, constraint_names, without_group
-from torchmbd.study.record.paths import evaluations_file, problem_key, study_key
-from torchmbd.study.record.run_record import UNVERIFIED, RunRecord
+from torchmbd.study.record.paths import evaluations_file, problem_key
+from torchmbd.study.record.run_record import UNVERIFIED
 from torchmbd.study.record.unfinished import StudyState
 from torchmbd.study.report.progress import Beginning, Progress
 from torchmbd.study.report.terminal import active_text, print_results, save_pictures
@@ -50,13 +47,6 @@ from torchmbd.tracking.catalog import ACTIVE, SEARCH_TEXT
 from torchmbd.tracking.uri import StoreURI
 
 
-class _Offline:
-    """Ends a study at the first design that is not on disk."""
-
-    def evaluate(self, X: np.ndarray, gradients: bool) -> NoReturn:
-        raise KeyboardInterrupt
-
-
 @warnings_once()
 def run_study(
     study: StudySettings,
@@ -66,7 +56,6 @@ def run_study(
     scheduler: str | None = None,
     fresh: bool = False,
     uri: str | StoreURI | None = None,
-    offline: bool = False,
     rerun_finished: bool = False,
 ) -> int:
     """Run a study and return the exit code; its results are in `study.outcome`.
@@ -76,7 +65,6 @@ def run_study(
     scheduler       address of a Dask scheduler to use instead, or a cluster file (cluster.py)
     fresh           remove the evaluations of this problem, and begin the study anew
     uri             the MLflow store; None: that of the study
-    offline         end, as after Ctrl-C, at the first design that is not on disk
     rerun_finished  run a finished study again, with its evaluations on disk and in its runs; False: print where it is
     """
     problem, key = study.simulated, problem_key(study.simulated)
@@ -86,26 +74,20 @@ def run_study(
     with ExitStack() as stack:
         store = Evaluations(evaluations_file(), key)
         stack.callback(store.close)
-        origin = (study.origin.file, study.origin.overrides) if study.origin else (None, ())
-        runs = (study.experiment, uri or study.uri)
-        key_of_study = partial(study_key, study)
-        record = stack.enter_context(
-            RunRecord.opened(study.name, study.kind, console, key_of_study, origin, runs, tracker, fresh)
-        )
+        journal = Journal(study, console, tracker, uri)
+        stack.enter_context(journal.claimed(fresh))
         if not rerun_finished:
-            code = record.tell_finished("torchmbd best {run}", workers=workers, scheduler=scheduler)
+            code = journal.tell_finished("torchmbd best {run}", workers=workers, scheduler=scheduler)
             if code is not None:
                 return code
         if fresh:  # `claim_study` has refused a study that is running in another process
             store.forget()
-        _print_stored_count(study.name, store.count(), record.state, console)
-        evaluator, lanes = _Offline() if offline else problem, LANES
+        _print_stored_count(study.name, store.count(), journal.state, console)
+        evaluator, lanes = problem, LANES
         if pool is not None:
             with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
-                _enter(pool, stack, record.state)
+                _enter(pool, stack, journal.state)
             evaluator, lanes = pool, pool.lanes
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
-        journal = Journal(study, record.tracker, folder)
         beginning = Beginning(console)
         stack.enter_context(stages_told(beginning.stage))
         stores = [store]
@@ -116,7 +98,7 @@ def run_study(
             stack.callback(stores[-1].close)
             if fresh:
                 stores[-1].forget()
-            return stores[-1], evaluator if offline else other if pool is None else pool.for_problem(other)
+            return stores[-1], other if pool is None else pool.for_problem(other)
 
         cached = CachedProblem(problem, store, evaluator, journal.evaluated, beginning.batch, others)
         result: Any = None
@@ -134,13 +116,11 @@ def run_study(
             return status
 
         try:
-            record.carry_out(run, lambda: _trouble(stores))
+            journal.carry_out(run, lambda: _trouble(stores))
         finally:
-            study.outcome = Outcome(record.status, result, record.run_id, verified)
-        if journal.trouble:
-            console.print(f"A file is missing: {escape(journal.trouble)}", style="red", soft_wrap=True)
+            study.outcome = Outcome(journal.status, result, journal.run_id, verified)
         known = f", {cached.hits} of {cached.hits + cached.computed} evaluations known" if cached.hits else ""
-        code = record.tell_outcome(known, workers=workers, scheduler=scheduler)
+        code = journal.tell_outcome(known, workers=workers, scheduler=scheduler)
         return code or (0 if verified is None or verified.verified else UNVERIFIED)
 
 
@@ -188,7 +168,7 @@ def _search(
 ) -> tuple[MultistartResult | DiscreteResult, Status, Verification | None]:
     """Optimize from every start, with `lanes` simulations in a batch; track and report the results."""
     points = study.points
-    journal.begin_study("study")
+    journal.begin_study()
     for index, point in enumerate(points):
         journal.begin_start(index, point)
     target = study.with_evaluator(cached)

@@ -38,6 +38,7 @@ from torchmbd.optimization.pareto import pareto_front
 from torchmbd.optimization.search import TIMES
 from torchmbd.results.answer import Verification
 from torchmbd.study.file.schema import NAME, UNITS, StudyFile
+from torchmbd.study.record.paths import relative_store, search_key
 from torchmbd.study.report.columns import Columns
 from torchmbd.summary import Summary, plural
 from torchmbd.tracking.store import checked_uri
@@ -219,6 +220,25 @@ class StudySettings(Summary):
     @property
     def system(self) -> System | None:
         return getattr(self.simulated, "system", None)
+
+    @property
+    def file(self) -> Path | None:
+        """The experiment file; None: the study was made in Python."""
+        return None if self.origin is None else self.origin.file
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """The overrides of the command line."""
+        return () if self.origin is None else self.origin.overrides
+
+    def key(self, store: StoreURI | str) -> str:
+        """Return the hash of all that the evaluated designs and the record of the study depend on: it is continued by it."""
+        problem = self.problem
+        box = [np.asarray(x, dtype=float) for x in (problem.start, problem.lower, problem.upper)]
+        around = [getattr(problem, name, None) for name in ("tolerance", "kind", "criteria")]
+        search = [self.points, self.method, self.max_iterations, self.options, self.increments, self.sweep]
+        record = [self.name, self.experiment, list(self.columns.units), relative_store(store)]
+        return search_key(self.simulated, box, around, search, record)
 
     @property
     def kind(self) -> str:

@@ -86,7 +86,7 @@ class Study(StudySettings):
         return self
 
     def check(self, console: Console | None = None) -> Estimate | None:
-        """Measure two short motions, print the cost of the study, and return it; None without an mbd.Problem."""
+        """Evaluate a first batch, print the cost of the study, and return it; None without an mbd.Problem."""
         return print_estimate(self, console or Console())
 
     def report(self, path: str | Path | None = None) -> Path:

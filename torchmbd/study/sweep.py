@@ -22,7 +22,7 @@ from torchmbd.optimization import Evaluation
 from torchmbd.optimization.optimizer import largest_violation, rank
 from torchmbd.study.record.journal import Journal, percent
 from torchmbd.study.record.metric_names import gain_metric
-from torchmbd.study.record.runs import child
+from torchmbd.study.record.run_record import child
 from torchmbd.study.report.progress import drop_order, print_table, shown_rows, table_of
 from torchmbd.study.report.terminal import save_figure, write_points
 from torchmbd.study.settings import StudySettings
@@ -86,7 +86,7 @@ def run_sweep(
     values = swept / study.columns.factors[index]
     X = np.tile(problem.start, (len(swept), 1))
     X[:, index] = swept
-    journal.begin_study("sweep")
+    journal.begin_study()
     with console.status(f"{escape(study.name)}: {len(swept)} designs"):
         designs = np.vstack([problem.start, X])
         parts = np.array_split(designs, math.ceil(len(designs) / _PART))

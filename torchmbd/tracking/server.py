@@ -14,8 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from torchmbd.errors import InputError
-from torchmbd.tracking.store import ARTIFACTS, open_store
-from torchmbd.tracking.tracker import TrackingError
+from torchmbd.tracking.store import ARTIFACTS, TrackingError, open_store
 from torchmbd.tracking.uri import StoreURI
 
 _START_SECONDS = 60

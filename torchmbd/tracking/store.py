@@ -21,11 +21,10 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, MbdError
 from torchmbd.process import require_cache_folder, utf8
-from torchmbd.tracking.tracker import TrackingError
 from torchmbd.tracking.uri import MASK, StoreURI
 
 if TYPE_CHECKING:
@@ -43,6 +42,13 @@ _SETTINGS = {  # of MLflow
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "20",
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",  # two lines for every run, with the user part of the URI
 }
+
+
+Status = Literal["FINISHED", "FAILED", "KILLED"]  # of a run that has ended
+
+
+class TrackingError(MbdError):
+    """The store could not be opened or written."""
 
 
 def store_uri(uri: str | StoreURI | None = None) -> StoreURI:

@@ -4,8 +4,9 @@
 at once: its input is at its end then. The folder of the journal has two files:
 
     journal.jsonl  parts of runs, one a line: run (its key), when (ms since 1970), and any of name, parent, params of a run
-                   that begins; tags; metrics with their step; file with its folder in the run; view; ended, a status
-    state.json     a `State`: what the store has
+                   that begins; tags; metrics with their step; file (relative to the journal) with its folder in the run;
+                   view; ended, a status
+    record.json    a `Record`: what the store has
 
 To write a part again changes nothing in the store. Checked in tests/tracking/test_tracker.py, test_writer.py.
 """
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.exceptions import MlflowException
 
-JOURNAL, _STATE = "journal.jsonl", "state.json"
+JOURNAL, RECORD = "journal.jsonl", "record.json"
 _INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share of a core that writing takes at most
 # Seconds until a store that is away is tried again, while the study computes and after it.
 _RETRY, _LAST_RETRY = 5.0, 0.5
@@ -45,34 +46,34 @@ _REFUSALS = (*_REFUSALS_OF_ONE, "RESOURCE_DOES_NOT_EXIST")
 Part = dict[str, Any]  # a line of the journal
 
 
-class State(NamedTuple):
-    """The state of the store.
+class Record(NamedTuple):
+    """The runs of a study in a store, so far.
 
-    trouble        why nothing reaches the store at present, None if it does
     experiment_id  in MLflow
-    ids            key of a run -> its id in MLflow
+    runs           key of a run -> its id in MLflow
+    trouble        why nothing reaches the store at present, None if it does
     refused        what the store has refused
     ended          whether the writer has ended after `close`
     """
 
-    trouble: str | None
-    experiment_id: str
-    ids: dict[str, str]
-    refused: list[str]
-    ended: bool
+    experiment_id: str = ""
+    runs: dict[str, str] = {}  # noqa: RUF012  of a tuple, which nobody changes
+    trouble: str | None = None
+    refused: list[str] = []  # noqa: RUF012
+    ended: bool = False
 
 
-def empty_state() -> State:
-    """Return the state before a writer has begun."""
-    return State(trouble=None, experiment_id="", ids={}, refused=[], ended=False)
-
-
-def read_state(folder: Path) -> State:
+def read_record(folder: Path) -> Record:
     """Return what the writer of a journal has said last."""
     try:
-        return State(*json.loads((folder / _STATE).read_text(encoding="utf-8")))
+        return Record(*json.loads((folder / RECORD).read_text(encoding="utf-8")))
     except FileNotFoundError:
-        return empty_state()
+        return Record()
+
+
+def whole_lines(text: bytes) -> bytes:
+    """Return a journal up to the end of its last whole line."""
+    return text[: text.rfind(b"\n") + 1]
 
 
 class Writer:
@@ -117,7 +118,7 @@ class Writer:
             else:
                 trouble, ended = None, closing
                 pause = max(_INTERVAL, (time.thread_time() - began) / _SHARE)
-            self._tell(State(trouble, self._experiment_id, self._ids, list(self._refused), ended))
+            self._tell(Record(self._experiment_id, self._ids, trouble, list(self._refused), ended))
             if ended:
                 return
             if closing:
@@ -125,18 +126,17 @@ class Writer:
             else:
                 self._closing.wait(pause)
 
-    def _tell(self, state: State) -> None:
-        draft = self.folder / f"{_STATE}.new"
-        with contextlib.suppress(OSError):  # a full disk: the study knows the state before
-            draft.write_text(json.dumps(state), encoding="utf-8")
-            draft.replace(self.folder / _STATE)
+    def _tell(self, record: Record) -> None:
+        draft = self.folder / f"{RECORD}.new"
+        with contextlib.suppress(OSError):  # a full disk: the study knows the record before
+            draft.write_text(json.dumps(record), encoding="utf-8")
+            draft.replace(self.folder / RECORD)
 
     def _deliver(self) -> None:
         """Write what was logged since the last call, and what could not be written then."""
         with open(self.folder / JOURNAL, "rb") as journal:
             journal.seek(self._position)
-            text = journal.read()
-        whole = text[: text.rfind(b"\n") + 1]  # the last line may not be complete yet
+            whole = whole_lines(journal.read())  # the last line may not be complete yet
         self._position += len(whole)
         for line in whole.splitlines():
             part = json.loads(line)
@@ -167,7 +167,7 @@ class Writer:
             del metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]
         for part in parts:
             if "file" in part:
-                self._attempt(run, partial(self._upload, client, id, Path(part["file"]), part["folder"]))
+                self._attempt(run, partial(self._upload, client, id, self.folder / part["file"], part["folder"]))
             if "view" in part:
                 view = part["view"] | {"searchFilter": f'tags.mlflow.parentRunId = "{id}"'}
                 client.set_experiment_tag(self._experiment_id, VIEW_TAG + id, json.dumps(view))

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import SOFT, laminate, plate, turned
+from tests.mechanisms import SOFT, laminate, plate, tensor, turned
 from tests.multibody.equilibrium.test_ground_observer import rotor
 from tests.refused import refused
 from tests.sensitivity.number_cases import differences
@@ -247,3 +247,34 @@ def test_a_refusal_names_the_design():
     rest = mbd.equilibrium(mbd.System([wheel], [hinge], [spring]), designs={"spring.stiffness": k})
     with refused("number", 1, "lane 1", kind=mbd.DesignFailure):
         rest.frequencies.sum().backward()
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("designs", [[[0.7, -0.3], [0.0, 0.0]], [[0.0, 0.0], [0.7, -0.3]]])
+def test_designs_that_retain_different_numbers_of_modes_answer_as_alone(designs: list[list[float]]):
+    """Missing modes are infinite at the end: no vibration is lost, and measures have the values and gradients of one design."""
+    system, plies = mbd.examples.arm(modes=4), "arm.laminate.angles"
+    alone = [mbd.equilibrium(system, designs={plies: tensor(*x)}) for x in designs]
+    counts = [x.frequencies.shape[1] for x in alone]
+    assert counts[0] != counts[1]
+    b = tensor(*designs).requires_grad_()
+    batch = mbd.equilibrium(system, designs={plies: b})
+    for lane, (one, n) in enumerate(zip(alone, counts, strict=True)):
+        for x, y, k in ((batch.frequencies, one.frequencies, n), (batch.poles, one.poles, 2 * n)):
+            assert_close(x[lane, :k].detach(), y[0].detach(), rtol=1e-9, atol=1e-6)
+            assert bool(x[lane, k:].isinf().all())
+        assert bool((batch.poles[lane, 2 * n :].real == -torch.inf).all())
+        assert_close(batch.damping_ratios[lane, : n - 1], one.damping_ratios[0, : n - 1], rtol=1e-6, atol=1e-9)
+    finite = batch.frequencies.isfinite()
+    (slopes,) = torch.autograd.grad(batch.frequencies[finite].sum(), b)
+    forward = torch.func.jvp(
+        lambda x: mbd.equilibrium(system, designs={plies: x}).frequencies[finite].sum(), (b.detach(),), (slopes,)
+    )[1]
+    assert_close(forward, slopes.square().sum(), rtol=1e-8, atol=0)
+    for lane, x in enumerate(designs):
+        y = tensor(*x).requires_grad_()
+        (own,) = torch.autograd.grad(mbd.equilibrium(system, designs={plies: y}).frequencies.sum(), y)
+        assert_close(slopes[lane], own, rtol=1e-6, atol=1e-9 * float(slopes.abs().max()))
+    with pytest.raises(mbd.DesignFailure, match=f"the vibrations of lane {counts.index(min(counts))}"):
+        batch.eigenvalues("natural", [max(counts) - 1])

@@ -123,3 +123,14 @@ def test_rounding_of_points_at_one_place_is_not_listed():
     bracket = mbd.RigidBody("bracket", 1.0, (0.1, 0.1, 0.1), position=(1.7e-18, 0.0, 1e-17))
     description = mbd.System([bracket], [mbd.Fixed(GROUND.at(), bracket.at())]).describe()
     assert (description.closing.joints, description.closing.bodies, description.closing.far) == ((), (), False)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+@pytest.mark.parametrize("gap", [0.5, 4.0, 10.0, 60.0])
+def test_a_coupling_tells_its_gap_as_an_angle_and_its_wheels_tell_full_turns(gap, unit):
+    """Whatever the unit of the factors; the rotations of the wheels are those that its joints count."""
+    wheels = [mbd.RigidBody(name, 1.0, (0.01, 0.01, 0.02)) for name in ("small", "large")]
+    small, large = [mbd.Revolute(GROUND.at(), wheel.at(), axis="z") for wheel in wheels]
+    gear = mbd.JointCoupling([small.angle, large.angle], [unit, -2.0 * unit], offset=2.0 * unit * gap, name="gear")
+    with warned(f"'gear' by {gap:.3g} rad", f"'small' by {0.4 * gap:.3g} rad", f"'large' by {0.8 * gap:.3g} rad"):
+        mbd.System(wheels, [small, large, gear]).describe()

@@ -15,9 +15,6 @@ from torchmbd.study.file.faults import Fault, StudyError
 from torchmbd.study.file.kind import Kind
 from torchmbd.study.file.load import kind_of, load, load_study
 from torchmbd.study.file.section import Section
-from torchmbd.study.record.paths import file_key
-from torchmbd.study.record.unfinished import claim_study
-from torchmbd.tracking.store import store_uri
 
 
 class Tally(Section):
@@ -39,14 +36,10 @@ def counted(monkeypatch):
     def read(source, sections, faults):
         if sections.get("count", 0) > 9:
             faults = [*faults, Fault(("count",), "= 10: allowed: up to 9")]
-        return faults or SimpleNamespace(name=source.name, uri=None, **sections)
+        return faults or SimpleNamespace(name=source.path.stem, uri=None, **sections)
 
-    def run(x, console: Console, uri=None, workers=1, scheduler=None, fresh=False, offline=False) -> int:
-        done.append((x.name, x.count, workers, fresh, offline))
-        store = store_uri(uri)
-        with claim_study(file_key(x.count, x.name, store), x.name, Path("tally.yaml"), (), store) as state:
-            if offline:
-                state.mark_sent()
+    def run(x, console: Console, uri=None, workers=1, scheduler=None, fresh=False) -> int:
+        done.append((x.name, x.count, workers, fresh))
         return 0
 
     def check(x, console: Console) -> int:
@@ -57,7 +50,6 @@ def counted(monkeypatch):
         "counts; allowed here: a study",
         Tally,
         read,
-        lambda x, uri: file_key(x.count, x.name, uri),
         run,
         check,
         named_by_parameters=("names",),
@@ -76,15 +68,12 @@ def file(tmp_path, monkeypatch):
     return path
 
 
-def test_a_kind_is_checked_and_run_and_sent(counted, file, capsys, monkeypatch):
-    monkeypatch.setattr("torchmbd.study.record.sync.open_store", lambda uri: None)
+def test_a_kind_is_checked_and_run(counted, file, capsys):
     assert main(["check", str(file)]) == 0
     assert "counts to 3" in capsys.readouterr().out
     assert main(["run", str(file), "count=4,5", "--workers", "2", "--fresh"]) == 0
-    assert counted == [("tally", 4, 2, True, False), ("tally", 5, 2, True, False)]
     assert main(["run", str(file)]) == 0
-    assert main(["sync"]) == 1  # those with overrides, which this kind does not keep, have changed
-    assert counted[2:] == [("tally", 3, 1, False, False), ("tally", 3, 1, False, True)]
+    assert counted == [("tally", 4, 2, True), ("tally", 5, 2, True), ("tally", 3, 1, False)]
 
 
 def test_its_faults_have_lines_and_its_keys_dots(counted, file):

@@ -9,10 +9,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from torchmbd.optimization import Evaluation, Iterate, MultistartResult, OptimizationResult
 from torchmbd.study.record.journal import Journal
-from torchmbd.study.record.runs import PARENT, child
+from torchmbd.study.record.run_record import child
+from torchmbd.study.record.unfinished import PARENT
 from torchmbd.study.run import _summarize
 
 X = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
@@ -37,12 +39,12 @@ class Heard:
 
 
 @pytest.fixture
-def heard(tmp_path):
+def heard():
     columns = SimpleNamespace(
         by_name=lambda x: {"angle_1_deg": float(x[0])}, sentence=lambda x: f"{x[0]:g}", names=["a"], labels=()
     )
     journal = Journal(
-        cast(Any, SimpleNamespace(columns=columns, sign=1.0, feasibility=1e-6)), cast(Any, Heard()), tmp_path
+        cast(Any, SimpleNamespace(columns=columns, sign=1.0, feasibility=1e-6)), Console(quiet=True), cast(Any, Heard())
     )
     return journal, cast(Any, journal.tracker)
 

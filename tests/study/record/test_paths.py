@@ -15,17 +15,17 @@ import torchdiffeq
 from rich.console import Console
 
 from tests.extensions.nastran.bdf_models import model as bdf_model
+from tests.study.silent_tracker import Silent
 from torchmbd.fem.mesh import rectangle
 from torchmbd.study.file.load import load_study
 from torchmbd.study.record import paths as paths_module
-from torchmbd.study.record.paths import evaluations_file, problem_key, studies_folder, study_key
+from torchmbd.study.record.paths import evaluations_file, problem_key, studies_folder
 from torchmbd.study.run import run_study
-from torchmbd.tracking.uri import StoreURI
 
 
 def keys(file, *overrides):
     plan = load_study(file, overrides)
-    return problem_key(plan.simulated), study_key(plan, "sqlite:///runs.db")
+    return problem_key(plan.simulated), plan.key("sqlite:///runs.db")
 
 
 @pytest.mark.thorough
@@ -147,15 +147,6 @@ def replace(file: Path, old: str, new: str) -> None:
     text = file.read_text()
     assert old in text
     file.write_text(text.replace(old, new))
-
-
-class Silent:
-    """A tracker that hears nothing."""
-
-    trouble, uri, seconds = None, StoreURI("http://127.0.0.1"), 0.0
-
-    def __getattr__(self, name):
-        return lambda *arguments, **options: None
 
 
 PARTS = sorted(p.name for p in paths_module._PACKAGE.iterdir() if p.is_dir() and p.name != "__pycache__")

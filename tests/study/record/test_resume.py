@@ -20,16 +20,16 @@ import psutil
 import pytest
 from rich.console import Console
 
+from tests.study.silent_tracker import Silent
 from torchmbd.design import Problem
 from torchmbd.errors import MbdError
 from torchmbd.study.file.load import load_study
 from torchmbd.study.record.evaluations import Evaluations
-from torchmbd.study.record.paths import evaluations_file, problem_key, study_key
+from torchmbd.study.record.paths import evaluations_file, problem_key
 from torchmbd.study.record.unfinished import claim_study
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store, store_uri
-from torchmbd.tracking.uri import StoreURI
 
 
 @pytest.fixture
@@ -50,15 +50,6 @@ def run(file: Path, tracker=None) -> str:
     output = io.StringIO()
     run_study(load_study(file), Console(file=output, width=120), tracker)
     return output.getvalue()
-
-
-class Silent:
-    """A tracker that hears nothing."""
-
-    trouble, uri, seconds = None, StoreURI("http://127.0.0.1"), 0.0
-
-    def __getattr__(self, name):
-        return lambda *arguments, **options: None
 
 
 def _killed_in_batch(file: Path, number: int) -> None:
@@ -103,7 +94,7 @@ def test_fresh_forgets_nothing_of_a_study_that_is_running(study, folder):
     uri = store_uri(plan.uri)
     message = "the same study is running in another process"
     with (
-        claim_study(study_key(plan, uri), plan.name, plan.origin.file, plan.origin.overrides, uri),
+        claim_study(plan, uri),
         pytest.raises(MbdError, match=message),
     ):
         run_study(plan, Console(file=io.StringIO()), fresh=True)

@@ -99,14 +99,32 @@ def test_a_finished_study_makes_no_second_run(file, folder, capsys):
 
 
 @pytest.mark.thorough
-def test_a_file_that_has_changed_since_is_not_sent(file, folder, capsys):
+@pytest.mark.parametrize("change", ["file", "model", "folder"])
+def test_what_is_sent_is_what_was_run(file, folder, change, monkeypatch):
+    """Files that have changed since, or are elsewhere: no model is executed, and the finished study is not run again."""
     hide(folder)
     assert cli.main(["run", str(file)]) == 1
     show(folder)
-    file.write_text(file.read_text().replace("seed: 7", "seed: 8"))
-    capsys.readouterr()
-    assert cli.main(["sync"]) == 1
-    assert "has changed since" in capsys.readouterr().out.replace("\n", " ")
+    if change == "file":
+        file.write_text(file.read_text().replace("seed: 7", "seed: 8"))
+    elif change == "model":
+        (folder / "rod_model.py").unlink()
+    else:
+        moved = folder.with_name("moved")
+        folder.rename(moved)
+        folder = moved
+        monkeypatch.chdir(folder)
+    assert cli.main(["sync"]) == 0
+    late = logged(folder)
+    assert len(late) == 3
+    assert {status for _, _, status, _, _ in late.values()} == {"FINISHED"}
+    parent = late["study"]
+    assert parent[0]["starts.seed"] == "7"
+    assert {"design.yaml", "answer.json", "figures/convergence.png", "motion_best.html"} <= parent[-1]
+    [state] = (folder / ".torchmbd").glob("*/study.json")
+    assert sorted(path.name for path in state.parent.iterdir()) == ["study.json", "study.lock"]
+    assert cli.main(["sync"]) == 0
+    assert logged(folder) == late
 
 
 KILLED = """

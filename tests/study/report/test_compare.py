@@ -11,7 +11,7 @@ from rich.console import Console
 
 from tests.refused import refused
 from torchmbd.study.record.metric_names import DESIGN
-from torchmbd.study.record.runs import flat
+from torchmbd.study.record.run_record import flat
 from torchmbd.study.report.compare import differences, outcomes, print_best, print_comparison
 from torchmbd.study.report.listing import print_links_of
 from torchmbd.tracking.catalog import children, find

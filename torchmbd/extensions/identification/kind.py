@@ -31,7 +31,6 @@ from torchmbd.extensions.identification.sizes import size_doubts
 from torchmbd.extensions.identification.static_curve import StaticCurve
 from torchmbd.extensions.identification.time_series import TimeSeries
 from torchmbd.extensions.identification.tracked_fit import (
-    identification_key,
     run_identification,
     start_predictions,
 )
@@ -75,7 +74,6 @@ IDENTIFY = Kind(
     "fits a model; allowed here: a study or a sweep; mbd.identification.identify in Python",
     IdentificationFile,
     read_identification,
-    identification_key,
     run_identification,
     _check,
     constructors={

@@ -193,22 +193,14 @@ class ModalData(Measurement):
         modes = torch.tensor([x.modes for x in pairings]).T  # [measured, lanes]
         known = torch.from_numpy(np.flatnonzero(np.isfinite(self.damping)))
 
-        def some(rest: Any, lanes: list[int]) -> Tensor:
-            w, mine = rest.eigenvalues(NATURAL, lanes=lanes), modes[:, lanes]
-            f = w.gather(0, mine) / (2.0 * math.pi)
+        def rows(rest: Any) -> Tensor:
+            w = rest.eigenvalues(NATURAL)
+            f = w.gather(0, modes) / (2.0 * math.pi)
             if not len(known):
                 return f.T
-            s = rest.eigenvalues(POLES, lanes=lanes)
-            s = s.gather(0, _poles_of(s.detach(), w.detach(), mine[known]))
+            s = rest.eigenvalues(POLES)
+            s = s.gather(0, _poles_of(s.detach(), w.detach(), modes[known]))
             return torch.cat([f, -s.real / s.abs()]).T
-
-        groups: dict[int, list[int]] = {}  # designs may retain different numbers of modes
-        for lane, vibrations in enumerate(rest.vibrations):
-            groups.setdefault(len(vibrations.frequencies), []).append(lane)
-        places = torch.tensor([lane for lanes in groups.values() for lane in lanes]).argsort()
-
-        def rows(rest: Any) -> Tensor:
-            return torch.cat([some(rest, lanes) for lanes in groups.values()])[places]
 
         y = differentiate(rows, rest)
         value, gradient = y.value.expand(run.lanes, -1), y.gradient
@@ -291,7 +283,7 @@ def _poles_of(s: Tensor, natural: Tensor, modes: Tensor) -> Tensor:
     result = torch.zeros_like(modes)
     for lane in range(modes.shape[1]):
         w = natural[:, lane]
-        elastic = torch.nonzero(w > _ZERO * w.nan_to_num().max())[:, 0]
+        elastic = torch.nonzero(w.isfinite() & (w > _ZERO * w.nan_to_num(posinf=0.0).max()))[:, 0]
         upper = torch.nonzero(s[:, lane].imag > SWINGS * s[:, lane].abs())[:, 0]
         upper = upper[torch.argsort(s[upper, lane].abs(), stable=True)]
         distance = (s[upper, lane].abs().log() - w[elastic, None].log()).square()

@@ -33,6 +33,7 @@ from torchmbd.extensions.identification.sections import (
     Unknown,
 )
 from torchmbd.extensions.identification.static_curve import StaticCurve
+from torchmbd.extensions.identification.stored_fit import fit_key
 from torchmbd.extensions.identification.time_series import TimeSeries
 from torchmbd.extensions.vibrations.ports_by_name import NamedPort
 from torchmbd.math import units
@@ -41,11 +42,12 @@ from torchmbd.multibody.system import System
 from torchmbd.study.file.assemble import in_si, links_in_si, starts_of
 from torchmbd.study.file.check import Faults, built_system, motion_faults
 from torchmbd.study.file.faults import Fault
-from torchmbd.study.file.kind import Source
+from torchmbd.study.file.kind import FilePlan, Source
 from torchmbd.study.file.model import build_model, find_model, find_phases, find_response, option_faults
 from torchmbd.study.file.parameter_values import set_parameters
 from torchmbd.study.file.scenario_keys import si_of
 from torchmbd.study.file.schema import UNITS, Motion
+from torchmbd.study.record.paths import file_key, numbers_key
 from torchmbd.tracking.uri import StoreURI
 
 _SENSOR_UNITS = {"delay": "s", "gain": ""}  # of an offset: that of the response
@@ -53,7 +55,7 @@ _DEFAULTS = {"delay": 0.0, "gain": 1.0, "offset": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
-class IdentificationPlan:
+class IdentificationPlan(FilePlan):
     """An experiment file that fits a model to measurements, and what is made of it.
 
     problem              the residuals as a function of the unknowns
@@ -61,19 +63,19 @@ class IdentificationPlan:
     """
 
     data: IdentificationFile
-    source: Source
     experiments: Mapping[str, Experiment]
     validation: Mapping[str, Experiment]
     arguments: Mapping[str, Any]
     problem: FitProblem
 
     @property
-    def name(self) -> str:
-        return self.source.name
+    def kind(self) -> str:
+        return "identification"
 
-    @property
-    def uri(self) -> StoreURI | None:
-        return self.data.tracking.uri
+    def key(self, store: StoreURI | str) -> str:
+        """The hash of the file with the numbers of its measurements and models, and its store."""
+        problems = [self.problem, *([self.problem.held_out(self.validation)] if self.validation else [])]
+        return file_key([self.resolved(), [numbers_key(fit_key(x)) for x in problems]], self.name, store)
 
     def unit(self, entry: str) -> str:
         """The unit of an unknown, `hinge.damping[0]`, in the file."""

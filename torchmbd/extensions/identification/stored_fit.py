@@ -11,7 +11,6 @@ Checked in tests/extensions/identification/test_files.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Self
 
 import numpy as np
@@ -26,19 +25,17 @@ from torchmbd.study.record.evaluations import Evaluations
 class StoredFit(FitProblem):
     """A problem with a store; made by `of`.
 
-    hits, computed   designs that were on disk, and others
-    listener         called after designs were computed
+    counts   "hits", "computed": designs that were on disk, and others
     """
 
     store: Evaluations
     counts: dict[str, int]
-    listener: Callable[[], None]
 
     @classmethod
-    def of(cls, problem: FitProblem, store: Evaluations, counts: dict[str, int], listener: Callable[[], None]) -> Self:
+    def of(cls, problem: FitProblem, store: Evaluations, counts: dict[str, int]) -> Self:
         """The problem with a store."""
         result = object.__new__(cls)
-        vars(result).update(vars(problem), store=store, counts=counts, listener=listener)
+        vars(result).update(vars(problem), store=store, counts=counts)
         return result
 
     @property
@@ -57,7 +54,6 @@ class StoredFit(FitProblem):
             for k, x in zip(missing, made, strict=True):
                 known[k] = x
             self.counts["computed"] += len(missing)
-            self.listener()
         self.counts["hits"] += len(X) - len(missing)
         return [_residuals(x, self._units, gradients) for x in known if x is not None]
 

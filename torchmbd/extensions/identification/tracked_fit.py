@@ -14,10 +14,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-import tempfile
 from contextlib import ExitStack
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,9 +34,9 @@ from torchmbd.extensions.identification.stored_fit import StoredFit, fit_key
 from torchmbd.math.units import units_of
 from torchmbd.study.record.evaluations import Evaluations
 from torchmbd.study.record.metric_names import DESIGN, legal_key
-from torchmbd.study.record.paths import evaluations_file, file_key, numbers_key
-from torchmbd.study.record.run_record import RunRecord
-from torchmbd.study.record.runs import PARENT, Runs, child
+from torchmbd.study.record.paths import evaluations_file, numbers_key
+from torchmbd.study.record.run_record import RunRecord, child
+from torchmbd.study.record.unfinished import PARENT
 from torchmbd.study.report.progress import print_table, table_of
 from torchmbd.summary import plural
 from torchmbd.tracking import MlflowTracker, Status
@@ -48,16 +45,9 @@ from torchmbd.tracking.provenance import version_of
 from torchmbd.tracking.uri import StoreURI
 from torchmbd.viz.figures import save, titled
 
-KIND = "identification"
 UNKNOWNS, CHANNELS, FITTED = "unknowns.csv", "channels.csv", "fitted.yaml"
 _TABLES = {"Unknowns": UNKNOWNS, "Model and data": CHANNELS}  # of a report
 _NAME = re.compile(r"[^\w.-]+")  # what names of files do not have
-
-
-def identification_key(plan: IdentificationPlan, uri: StoreURI | str) -> str:
-    """The hash of an identification: of its file with the numbers of its measurements and models, and its store."""
-    problems = [plan.problem, *([plan.problem.held_out(plan.validation)] if plan.validation else [])]
-    return file_key([plan.data.resolved(), [numbers_key(fit_key(x)) for x in problems]], plan.name, uri)
 
 
 def run_identification(
@@ -68,48 +58,42 @@ def run_identification(
     scheduler: str | None = None,
     fresh: bool = False,
     uri: str | StoreURI | None = None,
-    offline: bool = False,
 ) -> int:
     """Fit the model and track it; return the exit code. Arguments as in run.run_study."""
     if workers != 1 or scheduler is not None:
         raise InputError(
             "workers", allowed="torchmbd run without them", state="is one process", noun="workers and scheduler: a fit"
         )
-    origin, where = (plan.source.path, plan.source.overrides), (plan.data.tracking.experiment, uri or plan.uri)
-    key = partial(identification_key, plan)
     with ExitStack() as stack:
-        record = stack.enter_context(RunRecord.opened(plan.name, KIND, console, key, origin, where, tracker, fresh))
-        if (code := record.tell_finished(f"{FITTED} in its files")) is not None:
+        fit = _Fit(plan, console, tracker, uri, stack, fresh)
+        stack.enter_context(fit.claimed(fresh))
+        if (code := fit.tell_finished(f"{FITTED} in its files")) is not None:
             return code
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
-        fit = _Fit(plan, record.tracker, folder, console, stack, fresh, offline)
 
         def run() -> Status:
-            tags = {"kind": KIND, TABLES: json.dumps(_TABLES)}
-            fit.begin(plan.name, plan.data.resolved(), tags, *origin, plan.source.question)
+            fit.begin({TABLES: json.dumps(_TABLES)})
             return fit.fit()
 
-        record.carry_out(run, lambda: next((x.trouble for x in fit.stores if x.trouble), None))
+        fit.carry_out(run, lambda: next((x.trouble for x in fit.stores if x.trouble), None))
         hits, computed = fit.counts["hits"], fit.counts["computed"]
         known = f", {hits} of {hits + computed} evaluations known" if hits else ""
-        return record.tell_outcome(known)
+        return fit.tell_outcome(known)
 
 
-class _Fit(Runs):
-    """The runs of an identification: one for the whole, one for each start."""
+class _Fit(RunRecord):
+    """The record of an identification: a run for the whole, one for each start."""
 
     def __init__(
         self,
         plan: IdentificationPlan,
-        tracker: MlflowTracker,
-        folder: Path,
         console: Console,
+        tracker: MlflowTracker | None,
+        uri: str | StoreURI | None,
         stack: ExitStack,
         fresh: bool,
-        offline: bool,
     ) -> None:
-        super().__init__(tracker, folder)
-        self.plan, self.console, self.stack, self.fresh, self.offline = plan, console, stack, fresh, offline
+        super().__init__(plan, console, tracker, uri)
+        self.plan, self.stack, self.fresh = plan, stack, fresh
         self.counts = {"hits": 0, "computed": 0}
         self.stores: list[Evaluations] = []
         self.begun: set[str] = set()  # starts with a run
@@ -165,11 +149,7 @@ class _Fit(Runs):
             store.forget()
         elif count := store.count():
             self.console.print(f"{count} evaluations of this problem are on disk", soft_wrap=True)
-        return StoredFit.of(problem, store, self.counts, self._computed)
-
-    def _computed(self) -> None:
-        if self.offline:
-            raise KeyboardInterrupt
+        return StoredFit.of(problem, store, self.counts)
 
     def _step(self, step: FitStep) -> None:
         """File a design that lowered the cost, in the run of its start."""
@@ -249,7 +229,7 @@ class _Fit(Runs):
         ]
         start = None if before is None else [before[r.rows] for r in problem.rows]
         try:
-            figure = titled(data_and_model(panels, start), self.plan.source.question or self.plan.name)
+            figure = titled(data_and_model(panels, start), self.plan.question or self.plan.name)
             self.file(save(figure, self.folder / f"{name}.png"), "figures")
         except (MbdError, OSError, ValueError) as error:  # the fit goes on without the picture
             self.console.print(f"No picture: {escape(str(error))}", style="red", soft_wrap=True)

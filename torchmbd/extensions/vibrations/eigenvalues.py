@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchmbd.errors import DesignFailure, InputError
 from torchmbd.extensions.vibrations.inner_products import Vectors, inner_products
-from torchmbd.extensions.vibrations.spectrum import Spectrum
+from torchmbd.extensions.vibrations.spectrum import NOT_RETAINED, Spectrum
 from torchmbd.integrate.motion import Motion, Tensors
 from torchmbd.integrate.pullback import leaf
 from torchmbd.multibody.equilibrium.equilibrium import SPIN
@@ -52,8 +52,8 @@ def eigenvalues(
     respect to q and the data of the dynamics.
 
     kind        "natural": angular frequencies [rad/s]; "poles" [1/s], complex
-    modes       their numbers from 0, in the order of spectrum.py; None: all that every lane has, as designs may retain
-                different numbers of modes; or a function that chooses them
+    modes       their numbers from 0, in the order of spectrum.py; None: all, and in lanes that retain fewer modes than others
+                infinite ones at the end; or a function that chooses them
     symmetric   the caller makes a symmetric function of these numbers: derivatives are refused only where another eigenvalue,
                 which is not among the numbers, coincides with one of them
     mean        the derivative of each is the mean of those that coincide, and none is refused: for a search
@@ -64,6 +64,15 @@ def eigenvalues(
     parts: Any = Motion.apply(problem, q, *dynamics.data.values())
     parts = [x[:, 0] for x in parts]
     return torch.complex(*parts) if kind == POLES else parts[0]
+
+
+def _infinite(values: Tensor, missing: Tensor) -> Tensor:
+    """Values with infinite ones where modes are missing: of a body that is rigid to their shapes; poles decay at once."""
+    if not values.is_complex():
+        return torch.where(missing, torch.inf, values)
+    endless = torch.full_like(values.real, torch.inf)
+    endless[::2] *= -1.0  # pairs -, +
+    return torch.where(missing, torch.complex(-endless.abs(), endless), values)
 
 
 class Term(NamedTuple):
@@ -107,14 +116,22 @@ class _Eigenproblem:
         lanes = max(x.shape[-1] for x in inputs)
         self.inputs = [x.expand(*x.shape[:-1], lanes) for x in inputs]
         self.spectra = self._spectra()
-        size = min(self._size(lane) for lane in range(lanes))
-        self.numbers = range(size) if self.modes is None else self._chosen()
-        if wrong := [k for k in self.numbers if not 0 <= k < size]:
-            raise InputError(
-                "number", wrong[0] + 1, f"1 to {size}, the vibrations that all designs have", shown=f"{wrong[0] + 1}"
-            )
+        sizes = [self._size(lane) for lane in range(lanes)]
+        self.numbers = range(max(sizes)) if self.modes is None else self._chosen()
+        if isinstance(self.modes, Sequence):
+            self._require(sizes)
         parts = torch.stack([x.values[list(self.numbers)] for x in self.spectra], -1)[:, None]
+        if self.modes is None:
+            parts = _infinite(parts, torch.tensor(self.numbers)[:, None, None] >= torch.tensor(sizes))
         return (parts.real, parts.imag) if parts.is_complex() else (parts,)
+
+    def _require(self, sizes: Sequence[int]) -> None:
+        """InputError if no lane has a number of `modes`, DesignFailure if some have it; sizes: how many each has."""
+        if wrong := [k for k in self.numbers if not 0 <= k < min(sizes)]:
+            known = 0 <= wrong[0] < max(sizes)
+            where = f" of lane {sizes.index(min(sizes))}" if known else ""
+            allowed = f"1 to {min(sizes) if known else max(sizes)}, the vibrations{where}"
+            raise (DesignFailure if known else InputError)("number", wrong[0] + 1, allowed, shown=f"{wrong[0] + 1}")
 
     def _spectra(self) -> list[Spectrum]:
         """Of all lanes."""
@@ -148,7 +165,7 @@ class _Eigenproblem:
         single = [k for k, (i, j) in enumerate(pairs) if i == j]
         tangents = self._shared(blocks[:, single], modes)[:, : len(self.numbers)]
         for lane, spectrum in enumerate(self.spectra):
-            faulty = [bool(spectrum.fault[k]) for k in self.numbers]
+            faulty = [spectrum.fault[k] not in ("", NOT_RETAINED) for k in self.numbers]
             tangents[:, faulty, :, lane] = torch.nan
         return list(tangents)
 

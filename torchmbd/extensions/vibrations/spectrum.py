@@ -29,7 +29,7 @@ _GUARD = 4  # vibrations beyond those asked for, so that those that coincide are
 _FEW = 6  # the reciprocal of the largest share of all vibrations that `_lowest_whirl` is for
 _SINGLE_SHAPE = "one of several that coincide and have a single shape (defective)"
 _FREE, _GROWS = "zero, that of a free motion", "not a number: vibrations grow"
-_NOT_RETAINED = "that of a mode that this design does not retain"
+NOT_RETAINED = "that of a mode that this design does not retain"
 # Share of |s| that the imaginary part of an oscillating pole has at least: nearly equal real poles get 1e-4 by rounding.
 SWINGS = 1e-2
 _DEFECTIVE = 1e-6  # cosine between the left and the right vector, P' between them, below which rounding decides
@@ -79,7 +79,7 @@ class Spectrum:
             for x in (self.values, self.right, self.left, self.force, self.slip)
         )
         cluster = torch.cat([self.cluster, torch.arange(k, count)])  # numbers of members: none is as large
-        return Spectrum(values, right, left, force, slip, cluster, (*self.fault, *[_NOT_RETAINED] * further))
+        return Spectrum(values, right, left, force, slip, cluster, (*self.fault, *[NOT_RETAINED] * further))
 
     @classmethod
     def natural(cls, rest: Linearization, count: int | None = None) -> Spectrum:

@@ -130,7 +130,7 @@ def _steady_states(
     design_values = checked_designs(system, designs)
     with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):
         names = variable_names(system, design_values, "auto", None, False)
-        dynamics, modes = system.stages(lanes_of_batch(system, design_values, names, 1))
+        dynamics, modes = system.stages(lanes_of_batch(system, design_values, names))
         n, lanes = len(w), dynamics.lanes
         data = {k: x.repeat_interleave(n, -1) if x.shape[-1] > 1 else x for k, x in dynamics.data.items()}
         data[SPIN] = rotation.spin.repeat(1, 1, lanes)

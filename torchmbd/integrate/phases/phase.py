@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -126,16 +126,6 @@ class Phase:
 
 
 ONE_PHASE = (Phase(),)  # of a motion without switches: all joints and laws of the system act throughout
-
-
-def phases_within(phases: Sequence[Phase], seconds: float) -> list[Phase]:
-    """The phases of the first part of a motion [s]: those that begin in it, as far as their times tell."""
-    end = 0.0  # the earliest time at which a phase may end
-    for i, phase in enumerate(phases):
-        end = phase.end_time or end + (phase.length or 0.0)
-        if end >= seconds:
-            return [*phases[:i], replace(phase, until=None, lasting=None, impact=None)]
-    return list(phases)
 
 
 def _number(x: float | Tensor) -> float:

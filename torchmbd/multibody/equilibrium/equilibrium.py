@@ -10,7 +10,7 @@ size of the mechanism, and forces are compared as works on coordinates of this s
 With beams the loads grow in steps (load_steps.py) where the start is stable under small loads. `unstable=True` leaves the signs
 of the eigenvalues, for states that are stable by other forces than those of the stiffness: a shaft above its critical speed.
 
-Derivatives with respect to the design are those of one more step with the exact matrix, the implicit function theorem:
+Derivatives with respect to the design are those of more steps with the exact matrix, the implicit function theorem:
 
     dq/db = -(J^+ Phi_b + N (N' K N)^-1 N' (f_b + Phi_q,b' lam - K J^+ Phi_b))
 
@@ -45,6 +45,9 @@ _NEAR = 0.1  # of the distance between the equilibria of neighboring speeds, tha
 _FORCE = 1e-10  # largest unbalanced force, as a share of the largest force of all steps, both as works
 _CLOSED = 1e-11  # violation of a joint, as a share of the size of its row
 _ROUNDING = 1e-14  # of the terms that cancel in forces
+_LOADED = (
+    1e-15  # of the same: what loads a freedom without stiffness, so that its stiffness is below the rounding of others
+)
 SPIN = "spin"  # name of the angular velocity [3, 1, lanes] of a steady rotation among the data
 _SAME = 1e-6  # of the largest force: a change of forces in a steady rotation that counts as none
 _MIRRORED = (
@@ -52,8 +55,9 @@ _MIRRORED = (
     "less than a quarter of a turn from it"
 )
 _SMALLER = "allowed: smaller loads, a start near another, unstable=True for one that its stiffness does not hold"
-_NO_STIFFNESS = 1e-13  # of the largest eigenvalue of N' K N: rounding
+_NO_STIFFNESS = 1e-13  # of the largest principal stiffness: rounding
 _SOFT = 1e-9  # of the same: a freedom that forces of rounding would move far, as the spin of an arm between ball joints
+_CORRECTIONS = 2  # Newton steps that carry derivatives: the second corrects the rounding of the first one's stiffness
 
 
 @dataclass(frozen=True)
@@ -130,16 +134,16 @@ def _sweep(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | N
             rest, of_lane = states[lane], of_lanes[lane]
             largest[lane] = max(largest[lane], float(rest.works.abs().max()))
             turning = _at_spin(rotation, of_lane.data)
-            balance, small = _balance(of_lane, rest, q[:, 0, lane], t, turning, largest[lane], lane == lanes[-1])
+            balance, _ = _balance(of_lane, rest, q[:, 0, lane], t, turning, largest[lane], lane == lanes[-1])
             if balance is not None:
                 balances[lane] = balance
             elif bool(torch.isfinite(rest.forces).all()):
-                moves[:, 0, lane] = _step(rest, True, small)
+                moves[:, 0, lane] = _step(rest, None)
         if len(balances) == len(lanes):
             break
         q = equations.advance(T, q, moves)
     before = torch.cat([start[:, None, None], q[..., :-1]], -1)
-    steps = [_step(rest, True, 0.0) for rest in Linearization.each(dynamics, before, t, observer=observer)]
+    steps = [_step(rest, None) for rest in Linearization.each(dynamics, before, t, observer=observer)]
     after = equations.advance(T, before, torch.stack(steps, -1)[:, None])
     near = (after - q).abs().amax((0, 1)) <= _NEAR * (q - before).abs().amax((0, 1)) + _CLOSED
     sure = [lane in balances and not balances[lane].failure and bool(near[lane]) for lane in lanes]
@@ -154,17 +158,19 @@ def _at_spin(rotation: SteadyRotation | None, data: Data) -> SteadyRotation | No
 def equilibrium_coordinates(
     dynamics: Any, balances: list[Balance], t: Tensor, rotation: SteadyRotation | None = None
 ) -> Any:
-    """Coordinates of equilibrium [n_q, 1, lanes] with their derivatives in the data, which a last Newton step carries."""
+    """Coordinates of equilibrium [n_q, 1, lanes] with their derivatives in the data, which last Newton steps carry."""
     T, data = dynamics.topology, dynamics.data
     q, lam = (torch.stack([getattr(balance, name) for balance in balances], -1)[:, None] for name in ("q", "lam"))
     inverse = torch.stack([balance.inverse for balance in balances])
-    at = equations.placement(T, data, q, T.prescribed(t, data))
-    still = q.new_zeros(T.n_v, 1, q.shape[-1])
-    rates = (still, still) if rotation is None else rotation.of_spin(data[SPIN]).rates(T, q)
-    residual = equations.dynamic_residual(T, data, at, *rates, lam)
-    if T.rows:
-        residual = cat([residual, equations.constraints(T, at)])
-    return equations.advance(T, q, linear(lambda x: -apply(inverse, x), residual))
+    prescribed, still = T.prescribed(t, data), q.new_zeros(T.n_v, 1, q.shape[-1])
+    for _ in range(_CORRECTIONS):
+        at = equations.placement(T, data, q, prescribed)
+        rates = (still, still) if rotation is None else rotation.of_spin(data[SPIN]).rates(T, q)
+        residual = equations.dynamic_residual(T, data, at, *rates, lam)
+        if T.rows:
+            residual = cat([residual, equations.constraints(T, at)])
+        q = equations.advance(T, q, linear(lambda x: -apply(inverse, x), residual))
+    return q
 
 
 def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None = None) -> Any:
@@ -222,13 +228,14 @@ def _find_equilibrium(
             return balance if not balance.failure else _failed(T, start, balance.failure)
         if not bool((torch.isfinite(rest.forces) & (rest.scale <= _FAR * sizes)).all()):
             break
-        q = equations.advance(T, q[:, None, None], _step(rest, unstable, small)[:, None, None])[:, 0, 0]
+        q = equations.advance(T, q[:, None, None], _step(rest, None if unstable else small)[:, None, None])[:, 0, 0]
         rest = Linearization.of(dynamics, q, t, observer=turning)
     forces = rest.unbalanced.abs().nan_to_num(torch.inf)
     worst = T.rate_name(int(rest.active[int(forces.argmax())]), "force", "torque")
     failure = (
         f"no static equilibrium in {steps_taken} steps: {float(forces.max()):.3g} N or N m remain on {worst}; "
-        "allowed: a mechanism whose forces can balance, and initial positions near that"
+        "allowed: a mechanism whose forces can balance, initial positions near that, and stiffnesses of springs in series "
+        f"within a factor of {1.0 / _NO_STIFFNESS:.0e}"
     )
     return _failed(T, start, failure)
 
@@ -241,22 +248,26 @@ def _balance(
     rotation: SteadyRotation | None,
     largest: float,
     all_around: bool,
-) -> tuple[Balance | None, float]:
-    """The equilibrium at q, or None where forces do not balance, and the size of works that count as none.
+) -> tuple[Balance | None, Tensor]:
+    """The equilibrium at q, or None where forces do not balance, and the sizes of works [active] that count as none.
 
     largest   of the forces of all steps; all_around: as in `_find_equilibrium`
     """
     T, canceling = dynamics.topology, _canceling(dynamics, rest, q, t)
-    small = _FORCE * largest + _ROUNDING * canceling
+    small = _FORCE * largest + _ROUNDING * canceling[rest.active]
+    values, vectors = rest.principal_stiffness
+    without_stiffness = values.abs() <= _NO_STIFFNESS * (float(values.abs().max()) if len(values) else 0.0)
+    exact = _along(rest, _FORCE * largest + _LOADED * canceling[rest.active])
+    largest_along = torch.where(without_stiffness, exact, _along(rest, small))
     places = float(q[: 3 * T.bodies].abs().max()) if T.bodies else 0.0
     closed = bool((rest.phi.abs() <= _CLOSED * rest.row_sizes + _ROUNDING * places).all())
-    along_freedoms = rest.N.T @ rest.unbalanced
-    if not closed or (along_freedoms.numel() and not float(along_freedoms.abs().max()) <= small):
+    along_freedoms = vectors.T @ rest.unbalanced
+    if not closed or not bool((along_freedoms.abs() <= largest_along).all()):
         return None, small
     if _mirrored(T, dynamics.values().data, q, t):
         return _failed(T, q, _MIRRORED), small
     if rotation is not None:
-        same = _SAME * largest + _ROUNDING * canceling
+        same = _SAME * largest + _ROUNDING * float(canceling.max())
         if all_around and (why := unsteady(dynamics, rest, q, t, rotation, same)):
             return _failed(T, q, why), small
         if rest.negative_mass:  # centrifugal forces are wrong then; without rotation masses do not matter
@@ -280,67 +291,69 @@ def _failed(T: Any, start: Tensor, failure: str) -> Balance:
     return Balance(start, start.new_zeros(T.rows), start.new_zeros(T.n_v, T.n_v + T.rows), failure, "")
 
 
-def _canceling(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor) -> float:
-    """Size of the works that cancel: of stiffness times coordinates, of joints, and of springs against each other."""
+def _canceling(dynamics: Any, rest: Linearization, q: Tensor, t: Tensor) -> Tensor:
+    """Sizes of the works [n_v] that cancel: of stiffness times coordinates, of joints, and of springs against each other."""
     T, data = dynamics.topology, dynamics.values().data
     n = 3 * T.bodies
     w = equations.split_q(T, q[:, None, None])[2].flatten()
     size = torch.cat([q[:n], torch.ones_like(q[:n]), w]).abs()
-    terms = [rest.scale * (rest.K.abs() @ size), rest.scale * (rest.Phi_q.abs().T @ rest.lam.abs())]
+    works = torch.maximum(rest.scale * (rest.K.abs() @ size), rest.scale * (rest.Phi_q.abs().T @ rest.lam.abs()))
     if T.actions:
         at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
         states = equations.action_states(T, data, at, q.new_zeros(T.n_v, 1, 1))
         is_point = torch.tensor([x.is_point for x in T.attached])
         reach = torch.where(is_point, rest.scale[0], 1.0)  # of a displacement, of a turn
         strengths = equations.strengths(T, data, states, t)
+        on_body = q.new_zeros(int(T.vector_body.max()) + 1)
         for action, (_, _, directions), f in zip(T.actions, states, strengths, strict=True):
             for members, direction in zip(action.members, directions, strict=True):
-                terms.append(reach[members] * (f * direction).norm(dim=0).flatten())
-    return max(float(x.max()) for x in terms if x.numel())
+                work = reach[members] * (f * direction).norm(dim=0).flatten()
+                on_body.scatter_reduce_(0, T.vector_body[members], work, "amax")
+        of_bodies = on_body[: T.bodies]
+        works = torch.maximum(works, torch.cat([of_bodies.repeat(6), of_bodies[: T.flexible].repeat(T.modes)]))
+    return works
 
 
-def _step(rest: Linearization, unstable: bool, small: float) -> Tensor:
-    """Increment [n_v] of Newton's method: towards smaller energy, or, if `unstable`, to the nearest equilibrium of any kind.
+def _step(rest: Linearization, small: Tensor | None) -> Tensor:
+    """Increment [n_v] of Newton's method towards smaller energy.
 
-    small   size of works that balance: they move no degree of freedom that has hardly any stiffness
+    small [active]   works that balance: they move no degree of freedom that has hardly any stiffness; None: the increment to
+                     the nearest equilibrium, stable or not
     """
     active, close = rest.active, -rest.right_inverse @ rest.phi
-    forces = rest.N.T @ (rest.unbalanced + rest.K[active][:, active] @ close)
-    if unstable:
-        slide = -_flexibility(rest.reduced(rest.K)) @ forces
+    values, vectors = rest.principal_stiffness
+    along = vectors.T @ (rest.unbalanced + rest.K[active][:, active] @ close)
+    if small is None:
+        slide = -vectors @ (_flexibility(vectors.T @ rest.K[active][:, active] @ vectors) @ along)
     else:
-        values, vectors = _stiffness(rest)
         largest = float(values.abs().max()) if len(values) else 0.0
-        along = vectors.T @ forces
-        at_rest = (values.abs() < _SOFT * largest) & (along.abs() * len(along) ** 0.5 <= small)
+        at_rest = (values.abs() < _SOFT * largest) & (along.abs() * len(along) ** 0.5 <= _along(rest, small))
         along = torch.where(at_rest, 0.0, along)
         slide = -vectors @ (along / values.abs().clamp_min(_NO_STIFFNESS * largest or 1.0))
-    total = close + rest.N @ slide
+    total = close + slide
     step = torch.zeros_like(rest.forces)
     step[active] = total * min(1.0, _LARGEST / max(float((total / rest.scale[active]).abs().max()), 1e-300))
     return step
 
 
-def _stiffness(rest: Linearization) -> tuple[Tensor, Tensor]:
-    """Eigenvalues and vectors of the symmetric part of N' K N."""
-    K = rest.reduced(rest.K)
-    values, vectors = torch.linalg.eigh(0.5 * (K + K.T))
-    return values, vectors
+def _along(rest: Linearization, works: Tensor) -> Tensor:
+    """Largest forces [freedoms] along the principal directions of the stiffness, out of sizes of works [active]."""
+    return (rest.principal_stiffness[1].T / rest.scale[rest.active]).abs() @ works
 
 
 def _inverse(rest: Linearization) -> Tensor:
     """`Balance.inverse`; degrees of freedom without stiffness do not move."""
     active, n = rest.active, len(rest.forces)
-    close = rest.right_inverse
-    slide = rest.N @ _flexibility(rest.reduced(rest.K)) @ rest.N.T
+    close, K, (_, vectors) = rest.right_inverse, rest.K[rest.active][:, rest.active], rest.principal_stiffness
+    slide = vectors @ _flexibility(vectors.T @ K @ vectors) @ vectors.T
     inverse = rest.forces.new_zeros(n, n + len(rest.phi))
     inverse[active[:, None], active] = slide
-    inverse[active, n:] = close - slide @ rest.K[active][:, active] @ close
+    inverse[active, n:] = close - slide @ K @ close
     return inverse
 
 
 def _flexibility(K: Tensor) -> Tensor:
-    """Inverse of a stiffness; degrees of freedom without stiffness do not move."""
+    """Inverse of a stiffness in its principal directions; degrees of freedom without stiffness do not move."""
     inverse, singular = torch.linalg.inv_ex(K)
     is_regular = not int(singular) and float(K.norm() * inverse.norm()) < 1.0 / _NO_STIFFNESS
     return inverse if is_regular else torch.linalg.pinv(K, rtol=_NO_STIFFNESS)
@@ -348,10 +361,10 @@ def _flexibility(K: Tensor) -> Tensor:
 
 def _instability(T: Any, rest: Linearization) -> str:
     """`Balance.instability`."""
-    values, vectors = _stiffness(rest)
+    values, vectors = rest.principal_stiffness
     if not len(values) or float(values[0]) > _NO_STIFFNESS * float(values.abs().max()):
         return ""
-    row = int(rest.active[int((rest.N @ vectors[:, 0] / rest.scale[rest.active]).abs().argmax())])
+    row = int(rest.active[int((vectors[:, 0] / rest.scale[rest.active]).abs().argmax())])
     if float(values[0]) < -_NO_STIFFNESS * float(values.abs().max()):
         return (
             f"the static equilibrium is unstable: {T.rate_name(row)} falls away from it; "

@@ -20,10 +20,13 @@ from functools import cache, cached_property
 from typing import Any
 
 import torch
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchmbd.errors import DesignFailure
 from torchmbd.fem.reduction.padding import is_padding
+from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.data import Data
@@ -34,6 +37,7 @@ from torchmbd.multibody.saddle.rank import RELATIVE
 
 # A freedom has no stiffness below these shares: of the terms that cancel in it; for each freedom, of the largest eigenvalue.
 _CANCELS, _EIGEN = 1e-10, 1e-15
+_BESIDE = 1e-2  # of the largest stiffness of a body, in terms of each of its freedoms: rounding of what cancels in it
 _ZERO_MASS = 1e-9  # share of the largest eigenvalue of the inertia
 NEGATIVE_MASS = "bodies bend until their modes have a negative mass"
 GROWS = 1e-6  # ratio of real part and size of a pole above which vibrations grow
@@ -52,6 +56,7 @@ class Linearization:
     scale [n_v]                sizes of the coordinates (coordinate_scale.py)
     N [active, freedoms]       basis of the null space of the active columns of Phi_q, orthonormal in x / scale
     along                      C by "rates", M by "accelerations"
+    body [active]              number of the body to which a coordinate belongs
     rotates                    whether the state rotates steadily
     """
 
@@ -64,6 +69,7 @@ class Linearization:
     scale: Tensor
     N: Tensor
     along: Callable[[str], Tensor]
+    body: Tensor
     rotates: bool = False
 
     @cached_property
@@ -164,9 +170,11 @@ class Linearization:
 
         spin = observer.spin if isinstance(observer, SteadyRotation) else still[:3]
         rotates = spin.expand(-1, -1, lanes).any(0)[0]
+        n = torch.arange(T.bodies)
+        body = torch.cat([n.repeat(6), n[: T.flexible].repeat(T.modes)])
         parts = zip(forces.unbind(-1), phi.unbind(-1), stiffness, Phi_q, lam.unbind(-1), active, scale, strict=True)
         return [
-            cls(f, p, coupling.matrix(K), J, x, a, s, null_space(J[:, a], s[a]), of_lane(i), bool(rotates[i]))
+            cls(f, p, coupling.matrix(K), J, x, a, s, null_space(J[:, a], s[a]), of_lane(i), body[a], bool(rotates[i]))
             for i, (f, p, K, J, x, a, s) in enumerate(parts)
         ]
 
@@ -185,6 +193,7 @@ class Linearization:
             scale=M.new_ones(n),
             N=unit,
             along=matrices.__getitem__,
+            body=torch.zeros(n, dtype=torch.long),
             rotates=True,
         )
 
@@ -212,6 +221,31 @@ class Linearization:
     def reduced(self, X: Tensor) -> Tensor:
         """N' X N of a matrix [n_v, n_v]."""
         return self.N.T @ X[self.active][:, self.active] @ self.N
+
+    @cached_property
+    def principal_stiffness(self) -> tuple[Tensor, Tensor]:
+        """Eigenvalues [freedoms] of the symmetric part of N' K N, ascending, and vectors V [active, freedoms]: V' K V is their
+        diagonal.
+
+        Each freedom is first divided by the root of the terms that meet in its stiffness, so an eigenvalue is a share of
+        those: rounding where they cancel, and about one for a soft spring, whatever springs stand beside it. The second round
+        starts from the directions of the first, in which soft and stiff freedoms are apart.
+        """
+        K, scale, vectors = self.K[self.active][:, self.active], self.scale[self.active], self.N
+        size = scale[:, None] * K.abs() * scale
+        of_body = self._largest_of_body(size.amax(1)) / scale.square()
+        values = K.new_zeros(0)
+        for _ in range(2):
+            terms = (vectors.abs() * (K.abs() @ vectors.abs() + _BESIDE * of_body[:, None] * vectors.abs())).sum(0)
+            vectors = vectors / torch.where(terms > 0.0, terms, 1.0).sqrt()
+            values, turn = torch.linalg.eigh(vectors.T @ (0.5 * (K + K.T)) @ vectors)
+            vectors = vectors @ turn
+        return values, vectors
+
+    def _largest_of_body(self, works: Tensor) -> Tensor:
+        """The largest of numbers [active] of the coordinates of a body, for each coordinate of it [active]."""
+        of_body = works.new_zeros(int(self.body.max()) + 1 if len(self.body) else 0)
+        return of_body.scatter_reduce(0, self.body, works, "amax")[self.body]
 
     @property
     def inertia(self) -> Tensor:
@@ -400,20 +434,29 @@ def unpadded_rates(T: Topology, data: Data, lanes: int) -> list[Tensor]:
 def null_space(J: Tensor, scale: Tensor) -> Tensor:
     """Basis [n, k] of the null space of a Jacobian [rows, n], orthonormal in coordinates divided by scale [n].
 
-    Rows are scaled to length one. Columns without entries are basis vectors themselves: mixed with others, soft degrees of
+    Rows are scaled to length one. Coordinates that no row joins have bases of their own: mixed with others, soft degrees of
     freedom would get the rounding of stiff ones.
     """
-    n = J.shape[1]
-    if not len(J):
-        return torch.diag(scale)
     bound = (J != 0.0).any(0)
-    A = (J * scale)[:, bound]
-    _, s, Vh = torch.linalg.svd(A / A.norm(dim=1, keepdim=True), full_matrices=True)
-    null = Vh[int((s > RELATIVE * s[0]).sum()) :].T
-    free = torch.eye(n, dtype=J.dtype)[:, ~bound]
-    basis = J.new_zeros(n, null.shape[1])
-    basis[bound] = null
-    return scale[:, None] * torch.cat([free, basis], 1)
+    basis = [torch.diag(scale)[:, ~bound]]
+    for rows, columns in outside_transforms(_blocks, J):
+        A = J[rows][:, columns] * scale[columns]
+        _, s, Vh = torch.linalg.svd(A / A.norm(dim=1, keepdim=True), full_matrices=True)
+        null = Vh[int((s > RELATIVE * s[0]).sum()) :].T
+        block = J.new_zeros(len(scale), null.shape[1])
+        block[columns] = scale[columns, None] * null
+        basis.append(block)
+    return torch.cat(basis, 1)
+
+
+def _blocks(J: Tensor) -> list[tuple[Tensor, Tensor]]:
+    """Numbers of the rows and of the columns of each block of J [rows, n] that has no entries in common with others."""
+    rows = len(J)
+    row, column = (J != 0.0).nonzero(as_tuple=True)
+    graph = coo_array((torch.ones(len(row)), (row, rows + column)), shape=(rows + J.shape[1],) * 2)
+    label = torch.from_numpy(connected_components(graph, directed=False)[1])
+    of_rows = label[:rows]
+    return [((of_rows == k).nonzero()[:, 0], (label[rows:] == k).nonzero()[:, 0]) for k in of_rows[row].unique()]
 
 
 def _multipliers(J: Tensor, scale: Tensor, forces: Tensor, active: Tensor, M: Tensor | None) -> Tensor:

@@ -76,6 +76,11 @@ class Relation(Primitive):
         """Factors and sum [n, pair, lanes]."""
         return [cat(x) for x in zip(*(factors.of(data) for factors in self.data), strict=True)]
 
+    def largest_factors(self, data: Mapping[str, Any]) -> Tensor:
+        """Largest |c| of each relation [n], of its travels or, without these, of its angles, in a design of values."""
+        factors = torch.stack(self._factors(data)[: self.driven - 1])[self.angles if self.travels else 0 :]
+        return factors[..., 0, 0].abs().amax(0)
+
     def _groups(self, vectors: list) -> list[list]:
         """The vectors of each coordinate."""
         return [vectors[3 * i : 3 * i + 3] for i in range(self.angles + self.travels)]

@@ -1,8 +1,9 @@
 """What the start moves to close joints: how far joints are open where the bodies were put, and how far each body goes.
 
-    gap      |Phi| of the rows of a joint at the given positions: those of a length [m], those of the sine of an angle [rad]
+    gap      |Phi| of the rows of a joint at the given positions: those of a length [m], those of the sine of an angle [rad];
+             of a coupling the smallest travel [m], or angle [rad], of one of its joints that closes it: |Phi| / max |c_i|
     distance of a body: the farthest way of its origin and of the points on it that joints and forces have [m]
-    angle    of its rotation [rad]
+    angle    of its rotation [rad]; with full turns if a coupling counts the angle of its joint to the ground
 
 Elastic displacements that bodies were given count as none in a gap: that joints follow a bent body is what was asked for.
 Source of the limit of the warning: positions are typed with three digits or more, so a share of 1e-3 of the size of the
@@ -23,6 +24,7 @@ from torchmbd.errors import warn
 from torchmbd.math.plausible_units import EXTENT
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.joints.primitive import Angle, Perpendicular
+from torchmbd.multibody.joints.relation import Relation
 
 _FAR = 1e-3  # share of the size of the mechanism [-], angle [rad]: see the header
 _SMALLEST = EXTENT[0]  # [m] size of a mechanism: points that all lie at one place differ by rounding
@@ -73,6 +75,8 @@ class Closing:
         size = max(float((places.amax(1) - places.amin(1)).norm()), _SMALLEST)
         gaps, phi = {}, equations.constraints(T, still)[:, 0, 0].abs()
         for kind, rows in T.row_slices():
+            if isinstance(kind, Relation):
+                phi[rows] /= kind.largest_factors(data)
             unit = 2 if kind.angles and not kind.travels else int(isinstance(kind, (Perpendicular, Angle)))
             for i in range(rows.start, rows.stop):
                 gaps.setdefault(T.row_joints[i], [0.0, 0.0, 0.0])[unit] += float(phi[i]) ** 2
@@ -108,7 +112,22 @@ def _way(T: Any, body: int, before: Any, after: Any, start: Tensor, closed: Tens
     ways = torch.cat([(closed - start)[r, 0], (after.g - before.g)[:, points, 0, 0]], 1).norm(dim=0)
     p, p0 = closed[p, 0, 0], start[p, 0, 0]
     chord = torch.minimum((p - p0).norm(), (p + p0).norm())  # 2 sin(angle / 4): Euler parameters have half the angle
-    return Way(T.names[body], float(ways.max()), float(4.0 * torch.asin(0.5 * chord)))
+    angle = _with_turns(T, body, float(4.0 * torch.asin(0.5 * chord)), start, closed)
+    return Way(T.names[body], float(ways.max()), angle)
+
+
+def _with_turns(T: Any, body: int, angle: float, start: Tensor, closed: Tensor) -> float:
+    """The rotation of a body with full turns, as its joint to the ground counts them, out of the angle within half a turn."""
+    if T.turns is None:
+        return angle
+    ends = torch.stack([T.turns.first, T.turns.second])
+    to_ground = (ends == body).any(0) & (ends == T.bodies).any(0)
+    counted = max((closed - start)[-T.turn_count :, 0, 0][to_ground].abs().tolist(), default=0.0)
+    turns = round(counted / (2.0 * math.pi))
+    return min(
+        (abs(2.0 * math.pi * k + sign * angle) for k in (turns - 1, turns, turns + 1) for sign in (1, -1)),
+        key=lambda x: abs(x - max(counted, angle)),
+    )
 
 
 def _listed(ways: list[Way], size: float) -> tuple[Way, ...]:

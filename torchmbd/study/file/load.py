@@ -26,7 +26,6 @@ from torchmbd.study.file.parameter_values import with_values_of_file
 from torchmbd.study.file.schema import StudyFile
 from torchmbd.study.file.validation import validate
 from torchmbd.study.file.yaml_file import read_yaml
-from torchmbd.study.record.paths import study_key
 from torchmbd.study.run import UNVERIFIED, run_study
 from torchmbd.study.settings import StudySettings
 
@@ -111,6 +110,6 @@ def _check_study(study: StudySettings, console: Console) -> int:
 
 
 #: The kind of files without a section of another.
-STUDY = Kind("optimizes, or sweeps a variable", StudyFile, _read_study, study_key, run_study, _check_study)
+STUDY = Kind("optimizes, or sweeps a variable", StudyFile, _read_study, run_study, _check_study)
 #: Section -> the kind of files that have it.
 KINDS: Registry[Kind] = Registry("experiments", {"figures": FIGURES})

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from rich.console import Console
 
 from torchmbd.math.units import UNITS
 from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationResult
@@ -38,38 +38,42 @@ from torchmbd.study.record.metric_names import (
     unique,
 )
 from torchmbd.study.record.paths import problem_key
-from torchmbd.study.record.runs import PARENT, Runs, child
+from torchmbd.study.record.run_record import RunRecord, child
+from torchmbd.study.record.unfinished import PARENT
 from torchmbd.study.report.answers import ANSWER
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.catalog import GOAL, MAXIMIZE, VERIFICATION
+from torchmbd.tracking.uri import StoreURI
 
 NOTE = "mlflow.note.content"  # tag of the description of a run
 STATUS_COLUMN = "attributes.Description"  # MLflow shows attributes before metrics, and tags behind all of them
 
 
-class Journal(Runs):
-    """Tracks a study: translates iterates, evaluations and results into calls of a tracker.
+class Journal(RunRecord):
+    """The record of a study: translates iterates, evaluations and results into calls of a tracker."""
 
-    folder  of the files that become artifacts
-    """
-
-    def __init__(self, study: StudySettings, tracker: MlflowTracker, folder: Path) -> None:
-        super().__init__(tracker, folder)
+    def __init__(
+        self,
+        study: StudySettings,
+        console: Console,
+        tracker: MlflowTracker | None = None,
+        uri: str | StoreURI | None = None,
+    ) -> None:
+        super().__init__(study, console, tracker, uri)
         self.study = study
         self.first: dict[int, float] = {}  # objective of the first iterate of each start
         self.evaluations = self.iterates = 0
         self.failures: list[str] = []  # reason and design of each failed evaluation
         self._best, self._accuracy = math.inf, ""
 
-    def begin_study(self, kind: str) -> None:
+    def begin_study(self) -> None:
         """Open the parent run, with the table of its children."""
-        study, origin = self.study, self.study.origin
-        tags = {"kind": kind, "problem_key": problem_key(study.simulated)}
+        study, origin, kind = self.study, self.study.origin, self.study.kind
+        tags = {"problem_key": problem_key(study.simulated)}
         tags |= {GOAL: MAXIMIZE} if study.sign < 0.0 else {}
-        file, overrides = (None, ()) if origin is None else (origin.file, origin.overrides)
         tags |= {"seed": str(origin.data.starts.seed)} if origin is not None and origin.data.starts is not None else {}
-        self.begin(study.name, study.resolved(), tags, file, overrides, study.question)
+        self.begin(tags)
         groups = [
             group.rstrip("/")
             for group in (CRITERION, CONSTRAINT, DESIGN, SEARCH)
@@ -156,12 +160,12 @@ class Journal(Runs):
             **self.design_metrics(result.x),
         }
         self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
-        self.status(result.start, result)
+        self.ended(result.start, result)
         self.tracker.tags(run, {"method": result.method, "best": "false"})
-        ended: dict[str, Status] = {"failed": "FAILED", "interrupted": "KILLED"}
-        self.tracker.end(run, ended.get(result.status, "FINISHED"))
+        statuses: dict[str, Status] = {"failed": "FAILED", "interrupted": "KILLED"}
+        self.tracker.end(run, statuses.get(result.status, "FINISHED"))
 
-    def status(self, index: int, result: OptimizationResult) -> None:
+    def ended(self, index: int, result: OptimizationResult) -> None:
         """Tag a child with how its search ended; its description has it for the table."""
         words = {"status": result.status, "message": result.message, NOTE: result.status.replace("_", " ")}
         self.tracker.tags(child(index), words)

@@ -24,7 +24,6 @@ import torchdiffeq
 from torchmbd.design import Problem
 from torchmbd.design.differences import Differences
 from torchmbd.math.digest import digest, source_digest
-from torchmbd.study.settings import StudySettings
 from torchmbd.tracking.uri import StoreURI
 
 _PACKAGE = Path(__file__).parents[2]
@@ -81,16 +80,9 @@ def numbers_key(built: str) -> str:
     return _hash([built, _code(_PACKAGE, (*_SHOWN, *_SEARCHES)), versions])
 
 
-def study_key(study: StudySettings, uri: StoreURI | str) -> str:
-    """Return the hash of all that the evaluated designs and the record of a study depend on."""
-    problem = study.problem
-    box = [np.asarray(x, dtype=float) for x in (problem.start, problem.lower, problem.upper)]
-    around = [getattr(problem, name, None) for name in ("tolerance", "kind", "criteria")]
-    question_key = digest(
-        box, around, study.points, study.method, study.max_iterations, study.options, study.increments, study.sweep
-    )
-    record = [study.name, study.experiment, list(study.columns.units), relative_store(uri)]
-    return _hash([question_key, problem_key(study.simulated), _code(_PACKAGE, _SHOWN), *record])
+def search_key(problem: Any, *settings: Any) -> str:
+    """Return the hash of all that the designs of a search depend on: its problem, its settings and the source of torchmbd."""
+    return _hash([digest(*settings), problem_key(problem), _code(_PACKAGE, _SHOWN)])
 
 
 def relative_store(uri: StoreURI | str) -> str:

@@ -1,13 +1,13 @@
 """The state of studies on disk: how to continue one that has not finished, or is not in its tracking store.
 
-    .torchmbd/<study>/study.json   name, experiment file (null if made in Python), overrides and store; paths are relative to
-                                   .torchmbd, so that all can be copied together; `id`, by which its runs are found in the
-                                   store; whether all results so far are in the store
-    .torchmbd/<study>/study.lock   locked by the process that runs the study: no other can run it at the same time
+    .torchmbd/<study>/study.json     name, experiment file (null if made in Python), overrides and store; paths are relative to
+                                     .torchmbd, so that all can be copied together; `id`, by which its runs are found in the
+                                     store
+    .torchmbd/<study>/study.lock     locked by the process that runs the study: no other can run it at the same time
+    .torchmbd/<study>/journal.jsonl  its runs until they are in the store, with their files (torchmbd/tracking)
 
-Until a study has finished and is in its store, the same command continues it in the same runs, and `torchmbd sync` runs it
-again with the evaluations on disk to send what is missing. A study that has finished is not run again, unless its store has
-lost it or with `fresh`.
+Until a study has finished, the same command continues it in the same runs. `torchmbd sync` sends the journals that processes
+have left. A study that has finished is not run again, unless its store has lost it or with `fresh`.
 Checked in tests/study/record/test_unfinished.py.
 """
 
@@ -24,12 +24,14 @@ import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.study.record.paths import make_studies_folder, private, relative_store, studies_folder
 from torchmbd.tracking.uri import StoreURI, hidden
+from torchmbd.tracking.writer import JOURNAL
 
+PARENT = "study"  # the tracker's key of the run of the whole
 _FILE, _LOCK = "study.json", "study.lock"
 # Of `torchmbd run`, with their defaults.
 RUN_OPTIONS: dict[str, Any] = {
@@ -37,6 +39,41 @@ RUN_OPTIONS: dict[str, Any] = {
     "scheduler": None,
     "fresh": False,
 }
+
+
+class Experiment(Protocol):
+    """What is run and tracked: a study, a fit, or figures.
+
+    name        its name
+    kind        of the run in the tracking store
+    experiment  of MLflow
+    uri         the MLflow store; None: the default
+    file, overrides  the experiment file, None if made in Python, and the overrides of the command line
+    question    is the description of the run
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def kind(self) -> str: ...
+    @property
+    def experiment(self) -> str: ...
+    @property
+    def uri(self) -> StoreURI | None: ...
+    @property
+    def file(self) -> Path | None: ...
+    @property
+    def overrides(self) -> Sequence[str]: ...
+    @property
+    def question(self) -> str: ...
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the experiment with every default filled in, as plain data."""
+        ...
+
+    def key(self, store: StoreURI | str) -> str:
+        """Return the hash of all that the results depend on: an experiment is continued by it."""
+        ...
 
 
 @dataclass
@@ -47,9 +84,9 @@ class StudyState:
     name: str
     file: str | None  # relative to the folder of all studies
     overrides: list[str]
+    experiment: str  # of MLflow
     store: str  # URI, relative likewise
     id: str
-    sent: bool = False  # whether all results so far are in the store
     run_id: str = ""  # of the run in which it has finished; "": it has not finished
     ended: str = ""  # time at which it finished
     continues: bool = False  # whether an earlier process has begun it
@@ -77,15 +114,9 @@ class StudyState:
         ]
         return shlex.join(["torchmbd", "run", os.path.relpath(self.path), *self.overrides, *flags])
 
-    def mark_sent(self) -> None:
-        """Note that all results so far are in the store."""
-        self.sent = True
-        with contextlib.suppress(OSError):  # full disk: they are sent once more
-            self._write()
-
     def mark_finished(self, run_id: str) -> None:
         """Note that the study has finished in this run."""
-        self.run_id, self.ended, self.sent = run_id, time.strftime("%d %b %Y %H:%M"), True
+        self.run_id, self.ended = run_id, time.strftime("%d %b %Y %H:%M")
         with contextlib.suppress(OSError):  # full disk: the same command runs it once more
             self._write()
 
@@ -107,41 +138,35 @@ class StudyState:
 
 
 @contextlib.contextmanager
-def claim_study(
-    key: str, name: str, file: Path | None, overrides: Sequence[str], uri: StoreURI | str, fresh: bool = False
-) -> Iterator[StudyState]:
+def claim_study(experiment: Experiment, uri: StoreURI | str, fresh: bool = False) -> Iterator[StudyState]:
     """Lock a study for this process and yield its state; MbdError if another process runs it.
 
-    key              hash of the study (paths.py)
-    file, overrides  the experiment file, None if made in Python
-    uri              the store
-    fresh            begin anew: do not continue the runs of an earlier process
+    uri    the store
+    fresh  begin anew: do not continue the runs of an earlier process
     """
-    folder = make_studies_folder() / key
+    folder = make_studies_folder() / experiment.key(uri)
     folder.mkdir(mode=0o700, exist_ok=True)
     with _locked(folder) as locked:
         if not locked:
             raise MbdError(f"the same study is running in another process (its folder is {folder})")
         earlier = None if fresh else _read(folder)
-        seen = None if file is None else os.path.relpath(file, folder.parent)
-        said = [hidden(text) for text in overrides]
-        study = earlier or StudyState(folder, name, seen, said, relative_store(uri), uuid.uuid4().hex)
+        file = None if experiment.file is None else os.path.relpath(experiment.file, folder.parent)
+        said = [hidden(text) for text in experiment.overrides]
+        where = experiment.experiment, relative_store(uri)
+        study = earlier or StudyState(folder, experiment.name, file, said, *where, uuid.uuid4().hex)
         study.continues = earlier is not None
         if not study.run_id:
-            study.sent = False
             study._write()
         yield study
 
 
-def unsent() -> list[StudyState]:
-    """Return the studies that no process runs and that are not, or not wholly, in their store."""
-    states = []
-    for file in sorted(studies_folder().glob(f"*/{_FILE}")):
+def unsent() -> Iterator[StudyState]:
+    """Yield each study that no process runs and that is not, or not wholly, in its store; meanwhile no process can run it."""
+    for file in sorted(studies_folder().glob(f"*/{JOURNAL}")):
         with contextlib.suppress(FileNotFoundError), _locked(file.parent) as locked:  # it may be removed now
             study = _read(file.parent) if locked else None
-            if study is not None and not study.sent:
-                states.append(study)
-    return states
+            if study is not None:
+                yield study
 
 
 def _read(folder: Path) -> StudyState | None:

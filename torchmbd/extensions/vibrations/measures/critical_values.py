@@ -316,7 +316,7 @@ class StabilityLimit(OfVibrations):
         """Two values around the limit."""
         values = torch.linspace(*self.between, self.points, dtype=torch.float64)
         poles = self._poles(system, values, designs)
-        size = poles.abs()
+        size = poles.abs().nan_to_num(posinf=0.0)  # modes that a design does not retain have infinite ones
         rounding = torch.maximum(_STILL * size, _ROUNDING * size.amax(1, keepdim=True))
         grows, decays = (poles.real > rounding).any(1), (poles.real < -rounding).all(1)
         for i in range(len(values) - 1):
