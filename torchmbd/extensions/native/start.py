@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -20,12 +21,14 @@ from torch import Tensor
 from torchmbd.extensions.native.library import Library, has_start, library
 from torchmbd.extensions.native.simd_layout import LANES, addresses, in_blocks, lanes_out
 from torchmbd.integrate.lanes import expanded
+from torchmbd.integrate.prepared import detached
 from torchmbd.integrate.smooth_start import SmoothStart, start_weights
 from torchmbd.integrate.step import Weights
 from torchmbd.math.gradients import is_differentiated
 from torchmbd.math.pair import Pair
 from torchmbd.math.threads import run_blocks
 from torchmbd.math.vmap import FirstDerivative, batch_first
+from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.state import State
 
@@ -47,7 +50,7 @@ def accelerations(dynamics: Dynamics, q: Any, v: Any) -> tuple[Tensor, Tensor] |
     jets = [jet for drive in T.law_jets(t, dynamics.data) if drive is not None for jet in drive]
     parts = [x for jet in jets for x in jet.parts]
     numbers = _numbers(t, 1.0 / dynamics.stabilization, parts, [jet.value for jet in jets])
-    z = _Start(code, dynamics, numbers).solve(q, v, torch.zeros_like(v))
+    z = _Start(code, _without_graph(dynamics), numbers).solve(dynamics.data, q, v, torch.zeros_like(v))
     return None if z is None else (z[: dynamics.topology.n_v], z[dynamics.topology.n_v :])
 
 
@@ -60,7 +63,8 @@ def smooth_start(dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any)
     schedule = T.schedule(torch.stack([t.flatten()[0], h]), dynamics.data)
     laws = [x for drive in schedule.laws if drive is not None for x in drive]  # their rates do not enter
     numbers = _numbers(h, 0.0, [y for x in laws for y in (x[0], 0.0 * x[0], 0.0 * x[0])], [x[1] for x in laws])
-    z = _Start(code, dynamics, numbers, torch.tensor(scales, dtype=torch.float64)).solve(x.q, x.v, x.vd)
+    start = _Start(code, _without_graph(dynamics), numbers, torch.tensor(scales, dtype=torch.float64))
+    z = start.solve(dynamics.data, x.q, x.v, x.vd)
     return None if z is None else SmoothStart(*z[: dynamics.topology.n_v].split(1, 1), lag)
 
 
@@ -68,6 +72,16 @@ def _code(dynamics: Dynamics, *numbers: Any) -> Library | None:
     if dynamics.tangents or any(isinstance(x, Pair) for x in numbers) or not has_start(dynamics):
         return None
     return library(dynamics, "start")
+
+
+_plain: WeakKeyDictionary[Dynamics, Dynamics] = WeakKeyDictionary()
+
+
+def _without_graph(dynamics: Dynamics) -> Dynamics:
+    """The dynamics without a graph of torch, kept as long as they: accelerations and smooth start share it."""
+    if dynamics not in _plain:
+        _plain[dynamics] = detached(dynamics).share_rank(dynamics)
+    return _plain[dynamics]
 
 
 def _numbers(h: Tensor, rate: float, jets: Sequence[Tensor], ends: Sequence[Tensor]) -> Tensor:
@@ -79,19 +93,22 @@ def _numbers(h: Tensor, rate: float, jets: Sequence[Tensor], ends: Sequence[Tens
 
 @dataclass(eq=False)
 class _Start:
-    """Solutions at one state: the accelerations, or vectors along M^-1 Phi_q' with `scales` [columns, 2]."""
+    """Solutions at one state: the accelerations, or vectors along M^-1 Phi_q' with `scales` [columns, 2].
+
+    dynamics   without a graph of torch: a graph that holds it, and is held by it, would never be freed
+    """
 
     code: Library
     dynamics: Dynamics
     numbers: Tensor
     scales: Tensor | None = None
 
-    def solve(self, q: Tensor, v: Tensor, vd: Tensor) -> Tensor | None:
+    def solve(self, data: Data, q: Tensor, v: Tensor, vd: Tensor) -> Tensor | None:
         """z [n_v + rows, columns, lanes], differentiable by states and data; None where factors cannot be relied on."""
         lanes = max(self.dynamics.lanes, q.shape[-1])
         state = [expanded(x, lanes) for x in (q, v, vd)]
         try:
-            return _Solution.apply(self, *state, *self.dynamics.data.values())
+            return _Solution.apply(self, *state, *data.values())
         except _UnreliableFactors:
             return None
 

@@ -223,7 +223,7 @@ class PlateMatrices:
             )
         if varied or not bool(same.all()):
             return mean
-        self._unmoved = inputs if fixed else None
+        self._unmoved = tuple(x.detach().clone() for x in inputs) if fixed else None
         return None
 
     def values(
