@@ -60,7 +60,7 @@ _SOURCES = (
     "integrate/smooth_start.py",
     "extensions/native",
     "extensions/native/codegen",
-    *(f"extensions/native/{name}" for name in ("factors.cpp", "feedback.cpp", "steps.cpp", "adjoint.cpp", "rates.cpp", "start.cpp")),
+    *(f"extensions/native/{name}.cpp" for name in ("factors", "feedback", "steps", "adjoint", "rates", "start")),
 )
 _MECHANISM, _COUNT = ctypes.c_void_p, ctypes.c_long
 _BLOCKS: list[Any] = [
@@ -109,8 +109,10 @@ def obstacle(dynamics: Dynamics, work: Sequence[str]) -> str | None:
 
 
 def has_start(dynamics: Dynamics) -> bool:
-    """True if compiled code makes the start of a motion (start.py): there are joints, their drives have no design variables, and
-    no law is called back."""
+    """True if compiled code makes the start of a motion (start.py).
+
+    There must be joints; drives with design variables and laws that are called back are left to operators of torch.
+    """
     T = dynamics.topology
     return bool(T.rows) and not (T.varying_primitives or calls_back(dynamics))
 

@@ -33,7 +33,19 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "rows", "data", "columns", "third", "numbers")
-_ARRAYS = ("shared", "values", "scales", "x", "row_mask", "diagonal_shift", "z", "z_bar", "slopes", "x_slopes", "mechanism")
+_ARRAYS = (
+    "shared",
+    "values",
+    "scales",
+    "x",
+    "row_mask",
+    "diagonal_shift",
+    "z",
+    "z_bar",
+    "slopes",
+    "x_slopes",
+    "mechanism",
+)
 
 
 class _Job(ctypes.Structure):
@@ -51,7 +63,7 @@ def accelerations(dynamics: Dynamics, q: Any, v: Any) -> tuple[Tensor, Tensor] |
     parts = [x for jet in jets for x in jet.parts]
     numbers = _numbers(t, 1.0 / dynamics.stabilization, parts, [jet.value for jet in jets])
     z = _Start(code, _without_graph(dynamics), numbers).solve(dynamics.data, q, v, torch.zeros_like(v))
-    return None if z is None else (z[: dynamics.topology.n_v], z[dynamics.topology.n_v :])
+    return None if z is None else (z[: T.n_v], z[T.n_v :])
 
 
 def smooth_start(dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart | None:
@@ -65,7 +77,10 @@ def smooth_start(dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any)
     numbers = _numbers(h, 0.0, [y for x in laws for y in (x[0], 0.0 * x[0], 0.0 * x[0])], [x[1] for x in laws])
     start = _Start(code, _without_graph(dynamics), numbers, torch.tensor(scales, dtype=torch.float64))
     z = start.solve(dynamics.data, x.q, x.v, x.vd)
-    return None if z is None else SmoothStart(*z[: dynamics.topology.n_v].split(1, 1), lag)
+    if z is None:
+        return None
+    jerk, offset = z[: T.n_v].split(1, 1)
+    return SmoothStart(jerk, offset, lag)
 
 
 def _code(dynamics: Dynamics, *numbers: Any) -> Library | None:
