@@ -157,3 +157,31 @@ def test_a_problem_keeps_the_steps_of_its_initial_design():
     )
     assert many.steps == two
     assert many.motions(2.0 * many.start).stats["steps"] == two
+
+
+def oscillator(frequency: float, damping: float = 0.0) -> mbd.System:
+    """1 kg on a spring, at rest 1 mm from its equilibrium."""
+    w = 2.0 * math.pi * frequency
+    mass = mbd.RigidBody("mass", 1.0, (0.01, 0.01, 0.01))
+    ends = GROUND.at(), mass.at()
+    spring = mbd.AxialSpringDamper(*ends, axis="x", stiffness=w**2, damping=2.0 * damping * w)
+    force = mbd.Force(mass.at(), (1e-3 * w**2, 0.0, 0.0))
+    return mbd.System([mass], [mbd.Prismatic(*ends, axis="x")], [spring, force])
+
+
+@pytest.mark.parametrize(("damping", "more"), [(0.0, True), (0.2, False)])
+def test_vibrations_of_rigid_bodies_keep_their_phase(damping, more):
+    """20 periods, in closed form. What decays within a few periods needs no more steps."""
+    motion = mbd.simulate(oscillator(20.0, damping), 1.0, gradients="none")
+    w, t = 40.0 * math.pi, motion.t
+    w_d = w * math.sqrt(1.0 - damping**2)
+    decay = torch.exp(-damping * w * t) * ((w_d * t).cos() + damping * w / w_d * (w_d * t).sin())
+    expected = 1e-3 * (1.0 - decay)
+    assert float((motion.body("mass").r[0, :, 0] - expected).abs().max()) < 0.05e-3
+    assert (motion.stats["steps"] > 1000) == more
+
+
+def test_a_phase_that_the_most_steps_do_not_keep_is_told(monkeypatch):
+    monkeypatch.setattr("torchmbd.integrate.step_count._MOST_RIGID", 1000)
+    with pytest.warns(UserWarning, match=r"1000 steps are the most.*late: by 0\.7 rad"):
+        mbd.simulate(oscillator(40.0), 1.0, gradients="none")

@@ -3,10 +3,14 @@
     first   enough to follow loads and drives as functions of time: straight lines between the steps are off by 1 % (L1 norm);
             at least 200, without flexible bodies 1000
     then    as many as the estimated error of a step asks for (estimates.py), and contacts (contacts.py), until both are met
-    then    four times as many while accelerations of rigid bodies on springs alternate from step to step
+    then    without flexible bodies and beams: as many as keep the phase of vibrations on springs, at most 20,000
     most    20 per period of the fastest retained mode: every mode is resolved
 
 Some steps end where held values of a controller change (jumps.py).
+
+A vibration of rigid bodies that turns its phase by phi in each of n steps is n phi^3 / 12 late at the end. Its size among all
+accelerations gives phi (diagnosis/rigid_vibrations.py), and the mean time of these the number n in which the error grows.
+Source of phi^3 / 12: Hughes, The Finite Element Method, ch. 9 (the trapezoidal rule; numerical damping adds little).
 
 Modes that nothing excites cost no steps. Laws are sampled at 2048 times: a shorter pulse is not seen before it acts.
 Checked in tests/integrate/test_step_count.py.
@@ -20,7 +24,7 @@ from collections.abc import Callable, Collection, Sequence
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.integrate.estimates import GOOD_STEP, rigid_alternations
 from torchmbd.integrate.held_times import held_times_of, steps_at
 from torchmbd.integrate.initial_value import InitialValueProblem
@@ -40,6 +44,8 @@ _SHARE = 0.01  # of a law that straight lines between the steps may miss
 _FINER = 4.0  # times the steps whose error is GOOD_STEP: errors of many periods add up
 _NEAR = 1.5  # times the error aimed at: not worth another motion
 _MORE = 1.1  # times the steps that the estimate says
+_PHASE = 0.01  # [rad] of a vibration of rigid bodies, mean over the motion: an error of 1 % of its size
+_LATE = 0.1  # [rad] the same, of which a warning tells
 _UNKNOWN = 4  # times the steps of a motion that failed
 _MOST_MORE = 8  # times the steps of a motion has the next: the estimate of a coarse motion is a rough one
 _LEAST_SHARE = 1000  # of the steps that resolve every mode: a motion of which not even so few fit is refused at once
@@ -72,9 +78,12 @@ def choose_steps(
         status = status_of_lanes(result.history, duration, result.statistics)
         status = [OK if lane in result.failed else reason for lane, reason in enumerate(status)]
         needed = needed_steps(steps, result, status, dynamics.start_errors)
-        if needed <= steps and _alternates(result, duration / steps):
-            needed = _UNKNOWN * steps
+        late = _late(result, duration / steps)
+        if late > _NEAR**2 * _PHASE:
+            needed = max(needed, math.ceil(steps * min((late / _PHASE) ** 0.5, _MOST_MORE)))
         if needed <= steps or steps >= most:
+            if late > _LATE:
+                _warn_late(late, steps)
             return steps, result
         steps = min(round_up(needed), most)
 
@@ -125,15 +134,28 @@ def needed_steps(steps: int, result: IntegrationResult, status: Sequence[str], s
     return min(needed, _MOST_MORE * steps)
 
 
-def _alternates(result: IntegrationResult, h: float) -> bool:
-    """True if accelerations of rigid bodies under forces change their sign from step to step, as of vibrations on springs."""
+def _late(result: IntegrationResult, h: float) -> float:
+    """Mean phase [rad] by which vibrations of rigid bodies on springs are late in steps of size h: the largest of all lanes."""
     history, dynamics = result.history, result.history.run.recorded.values()
     T = dynamics.topology
     if T.flexible or T.has_fast_elements or not T.actions or not T.bodies:
-        return False
+        return 0.0
     accelerations, places = history.vd[:, :, 0].permute(2, 0, 1), history.q[:, : 3 * T.bodies, 0]
     change, size = rigid_alternations(dynamics, accelerations, places.abs().amax(), h)
-    return bool((change.sum(1) > ALTERNATION * size.sum(1)).any())
+    total = size.sum(1).clamp_min(torch.finfo(size.dtype).tiny)
+    share = change.sum(1) / total
+    steps = (size * torch.arange(1, size.shape[1] + 1)).sum(1) / total
+    phi = 2.0 * share.clamp_max(1.0).sqrt().asin()
+    late = torch.where(share > ALTERNATION, torch.inf, steps * phi**3 / 12.0)  # phi may be that of a faster one
+    return float(late.nan_to_num(0.0, posinf=torch.inf).amax())
+
+
+def _warn_late(late: float, steps: int) -> None:
+    more = math.ceil(steps * (late / _PHASE) ** 0.5) if math.isfinite(late) else _UNKNOWN * steps
+    warn(
+        f"{steps} steps are the most that simulate chooses for rigid bodies, and their vibrations on springs are late: "
+        f"by {late:.1g} rad in the mean. Try: steps={more}"
+    )
 
 
 def _followed(f: Tensor, stride: int) -> bool:

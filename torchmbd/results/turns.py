@@ -79,7 +79,7 @@ class Turns:
         lanes = torch.tensor(self.lanes or range(self.q.shape[-1]))
         now = self.now.expand(len(lanes))
         same = 1e-9 * float(self.times[-1]) / len(self.times)
-        last = torch.searchsorted(self.times, now - same) - 1
+        last = torch.searchsorted(self.times, (now - same).contiguous()) - 1
         angles, rates = self._up_to(angle, int(last.max()) + 1)
         known = torch.isfinite(angles[:, lanes]) & (torch.arange(len(self.times))[:, None] <= last)
         row = torch.where(known, torch.arange(len(self.times))[:, None], -1).amax(0)

@@ -99,7 +99,7 @@ def campbell(
     )
     s = states.eigenvalues(POLES, follower)
     numbers = follower.numbers
-    place = torch.searchsorted(follower.chosen, numbers.clamp_min(0))
+    place = torch.searchsorted(follower.chosen, numbers.clamp_min(0).contiguous())
     s = s.gather(-1, place) if len(follower.chosen) else place.to(s.dtype)
     none = torch.complex(*(torch.full(s.shape, torch.nan, dtype=torch.float64) for _ in range(2)))
     s = torch.where(numbers >= 0, s, none)
