@@ -144,6 +144,6 @@ def test_check_tells_the_errors_of_the_start(runs: SimpleNamespace, monkeypatch:
     assert main(["check", str(runs.fine.file)]) == 0
     text = capfd.readouterr().out
     assert "steps: 80, as given; the largest error at the start design is" in text
-    assert "measuring the beginning of 1 motion" in text
+    assert "evaluating the start design" in text
     assert main(["check", str(runs.coarse.file)]) in (0, EXIT_UNVERIFIED)
     assert "warning: steps: 24, as given, " in capfd.readouterr().out

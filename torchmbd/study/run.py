@@ -199,7 +199,7 @@ def _search(
             **options,
         )
     best = outcome.best
-    print_results(study, outcome, journal.failures, console)
+    print_results(study, outcome, journal, console)
     _summarize(outcome, journal)
     if best is not None:
         journal.best(best)

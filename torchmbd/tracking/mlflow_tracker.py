@@ -92,18 +92,23 @@ class MlflowTracker:
 
     @classmethod
     def left(cls, experiment: str, uri: StoreURI, study: str, folder: Path) -> Self:
-        """The tracker of a journal in a folder, whose process has ended: what this has left open is KILLED."""
+        """The tracker of a journal in a folder, whose process has ended: what this has left open is KILLED.
+
+        TrackingError for a journal that cannot be read, as after a power cut: the study itself makes it anew.
+        """
         tracker = cls(experiment, uri, study)
         tracker._folder = folder
         whole = whole_lines((folder / JOURNAL).read_bytes())
+        try:
+            parts = [json.loads(line) for line in whole.splitlines()]
+        except ValueError as error:
+            raise TrackingError(f"{folder / JOURNAL} cannot be read: {error}; allowed: torchmbd run") from error
         os.truncate(folder / JOURNAL, len(whole))  # the process may have been killed within a line
-        when = 0
-        for line in whole.splitlines():
-            part = json.loads(line)
+        (folder / RECORD).unlink(missing_ok=True)  # of the writer of that process
+        for part in parts:
             tracker._note(part)
-            when = part["when"]
         for run in tracker._open_runs():
-            tracker._end(run, "KILLED", when)
+            tracker._end(run, "KILLED", parts[-1]["when"])
         return tracker
 
     @property

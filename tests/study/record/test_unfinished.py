@@ -150,6 +150,12 @@ def test_a_killed_study_is_sent_as_far_as_it_went(file, folder, capsys):
         [sys.executable, "-c", KILLED, str(file)], env=environment, capture_output=True, check=False
     )
     assert killed.returncode == -signal.SIGKILL
+    [journal] = (folder / ".torchmbd").glob("*/journal.jsonl")
+    lines = journal.read_bytes()
+    journal.write_bytes(b"\0" * len(lines) + b"\n")  # as a power cut may leave it
+    assert cli.main(["sync"]) == 1
+    assert "cannot be read" in capsys.readouterr().out.replace("\n", "")
+    journal.write_bytes(lines + b'{"run": "st')  # killed within a line
     assert cli.main(["sync"]) == 0
     first = {run.info.run_id: run.info.status for run in runs(folder)}
     assert list(first.values()) == ["KILLED"] * 3

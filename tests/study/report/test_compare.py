@@ -78,7 +78,7 @@ def test_designs_that_violate_a_constraint_come_last(empty_store, folder):
     assert [child.name for child in children(uri, find(uri, run))] == ["c", "b", "a", "d"]
     text = shown(print_best, run, uri, 5)
     rows = [line.split() for line in text.splitlines() if line.split()[:1] and line.split()[0] in "abcd"]
-    assert [(row[0], row[3]) for row in rows] == [("c", "0"), ("b", "0"), ("a", "2e-01"), ("d", "4e-01")]
+    assert [(row[0], row[2]) for row in rows] == [("c", "0"), ("b", "0"), ("a", "2e-01"), ("d", "4e-01")]
     assert "the same mbd.Study" in text  # a study without a model file
 
 

@@ -150,7 +150,16 @@ class Journal(RunRecord):
         run = child(result.start)
         if result.history:  # the start by the steps of the result
             self.first[result.start] = result.history[0].objective
-        last = {
+        last = max(result.iterations, len(result.history) - 1, 0)
+        self.tracker.metrics(run, self.last_numbers(result), last)
+        self.ended(result.start, result)
+        self.tracker.tags(run, {"method": result.method, "best": "false"})
+        statuses: dict[str, Status] = {"failed": "FAILED", "interrupted": "KILLED"}
+        self.tracker.end(run, statuses.get(result.status, "FINISHED"))
+
+    def last_numbers(self, result: OptimizationResult) -> dict[str, float]:
+        """Return the final metrics of a start."""
+        numbers = {
             "objective": self.study.sign * result.value,
             "violation": result.violation,
             ANALYSES: result.analyses,
@@ -159,11 +168,7 @@ class Journal(RunRecord):
             gain_metric(self.study.sign): percent(self.first.get(0, math.nan), result.value),
             **self.design_metrics(result.x),
         }
-        self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
-        self.ended(result.start, result)
-        self.tracker.tags(run, {"method": result.method, "best": "false"})
-        statuses: dict[str, Status] = {"failed": "FAILED", "interrupted": "KILLED"}
-        self.tracker.end(run, statuses.get(result.status, "FINISHED"))
+        return _finite(numbers)
 
     def ended(self, index: int, result: OptimizationResult) -> None:
         """Tag a child with how its search ended; its description has it for the table."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from rich import box
 from rich.console import Console
@@ -14,9 +16,11 @@ from rich.table import Table
 
 from torchmbd.errors import InputError
 from torchmbd.study.record.metric_names import (
+    ANALYSES,
     CONVERGED,
     EVALUATIONS,
     INCREASE,
+    ITERATIONS,
     REDUCTION,
     STARTS,
     cell_text,
@@ -28,15 +32,7 @@ from torchmbd.study.record.metric_names import (
     without_group,
 )
 from torchmbd.study.report.answers import comparison, print_answers, stored_verification
-from torchmbd.study.report.progress import (
-    CHANGE,
-    change_cell,
-    drop_order,
-    print_table,
-    table_of,
-    violation_cell,
-    wrapped_heading,
-)
+from torchmbd.study.report.progress import CHANGE, change_cell, drop_order, print_table, table_of, violation_cell
 from torchmbd.tracking.catalog import (
     ACTIVE,
     GOAL,
@@ -91,27 +87,14 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
         console.print(f"its files: {place}", highlight=False, markup=False, soft_wrap=True)
         return
     best = [child for child in children(store, entry) if "objective" in child.metrics][:count]
-    names = list(dict.fromkeys(name for child in best for name in child.metrics if is_design(name)))
-    table = _table(title)
-    sign = -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
-    criteria = criterion_metrics((child.metrics for child in best), sign)
-    titles = [CHANGE if name == gain_metric(sign) else metric_heading(name) for name in criteria]
-    for title in ("", *titles, "viol.", *map(metric_heading, names), "status"):
-        table.add_column(escape(wrapped_heading(title)), justify="right", no_wrap=True)
-    for child in best:
-        cells = [child.name, *(_cell(child, name, sign) for name in criteria)]
-        violation = child.metrics.get("violation")
-        cells.append("-" if violation is None else violation_cell(violation))
-        cells += [number_text(name, child.metrics[name]) if name in child.metrics else "-" for name in names]
-        table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
-    if not print_table(table, console, drop_order(2 + len(criteria), len(names), [-1, 2])):
+    starts, sign = [Start.of(child) for child in best], goal_sign(entry)
+    if not print_starts(title, starts, sign, console):
+        headings = start_headings(starts, sign)
         for child in best:
-            values = ", ".join(
-                f"{metric_heading(name)} {number_text(name, child.metrics[name])}"
-                for name in names
-                if name in child.metrics
-            )
-            console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
+            values = [
+                f"{headings[name]} {number_text(name, x)}" for name, x in child.metrics.items() if is_design(name)
+            ]
+            console.print(f"{child.name}: {', '.join(values)}", soft_wrap=True, highlight=False, markup=False)
     if verified is not None:
         print_answers(verified, console)
     for tag in (SEARCH_TEXT, ACTIVE):
@@ -141,11 +124,53 @@ def _print_tables(title: str, stored: dict[str, list[list[str]]], console: Conso
         print_table(table, console, drop_order(2, len(headings) - 2))
 
 
-def _cell(child: Entry, name: str, sign: float) -> str:
-    """Return the text of a metric of a start; `sign` is -1 for an objective that is maximized, else 1."""
-    if name not in child.metrics:
-        return "-"
-    return change_cell(child.metrics[name], sign) if name == gain_metric(sign) else f"{child.metrics[name]:.6g}"
+def goal_sign(entry: Entry) -> float:
+    """Return -1 for a study whose objective is maximized, else 1."""
+    return -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
+
+
+class Start(NamedTuple):
+    """A row of the table of starts, or of points: name, metrics, status, and whether it is the best."""
+
+    name: str
+    metrics: Mapping[str, float]
+    status: str
+    best: bool = False
+
+    @classmethod
+    def of(cls, run: Entry) -> Start:
+        """The row of a run of the store."""
+        status = run.tags.get("status", run.status.lower())
+        return cls(run.name, run.metrics, status, run.tags.get("best") == "true")
+
+
+def start_headings(starts: Sequence[Start], sign: float) -> dict[str, str]:
+    """Return metric -> heading of the columns of the table of starts: criteria, violation, design, cost."""
+    known = dict.fromkeys(name for start in starts for name in start.metrics)
+    criteria = criterion_metrics((start.metrics for start in starts), sign)
+    short = {gain_metric(sign): CHANGE, "violation": "viol.", ITERATIONS: "iter", ANALYSES: "sims"}
+    columns = [*criteria, "violation", *filter(is_design, known), ITERATIONS, ANALYSES]
+    return {name: short.get(name, metric_heading(name)) for name in columns if name in known}
+
+
+def start_cells(start: Start, headings: Mapping[str, str], sign: float) -> list[str]:
+    """Return the cells of a row of this table: the name, one for each heading, the status."""
+    texts = {name: number_text(name, x) for name, x in start.metrics.items()}
+    for name, text in ((gain_metric(sign), partial(change_cell, sign=sign)), ("violation", violation_cell)):
+        if name in texts:
+            texts[name] = text(start.metrics[name])
+    return [start.name, *(texts.get(name, "-") for name in headings), start.status.replace("_", " ")]
+
+
+def print_starts(title: str, starts: Sequence[Start], sign: float, console: Console, heading: str = "") -> bool:
+    """Print the table of starts in the width of the terminal; return whether all its columns are printed."""
+    headings = start_headings(starts, sign)
+    table = table_of(title, [heading, *headings.values(), "status"])
+    for start in starts:
+        table.add_row(*map(escape, start_cells(start, headings, sign)), style="bold" if start.best else None)
+    columns = list(headings)
+    optional = [*reversed([*filter(is_design, columns)]), ANALYSES, ITERATIONS, "violation", gain_metric(sign)]
+    return print_table(table, console, [1 + columns.index(name) for name in optional if name in headings])
 
 
 def outcomes(*metrics: Mapping[str, float]) -> list[str]:

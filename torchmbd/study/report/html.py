@@ -15,21 +15,17 @@ from pathlib import Path
 from torchmbd.errors import InputError
 from torchmbd.study.file.config_index import question
 from torchmbd.study.record.metric_names import (
-    ANALYSES,
     CONVERGED,
     EVALUATIONS,
     FAILED,
     INCREASE,
-    ITERATIONS,
     REDUCTION,
     STARTS,
     cell_text,
-    criterion_metrics,
-    is_design,
-    metric_heading,
     number_text,
 )
 from torchmbd.study.report.answers import answers_page, stored_verification
+from torchmbd.study.report.compare import Start, goal_sign, start_cells, start_headings
 from torchmbd.summary import few, plural
 from torchmbd.tracking.catalog import ACTIVE, SEARCH_TEXT, Entry, children, fetch, files, find, tables
 from torchmbd.tracking.mlflow_tracker import FILES
@@ -147,23 +143,13 @@ def _children(store: StoreURI, entry: Entry) -> str:
     runs = children(store, entry)
     if not runs:
         return ""
-    names = list(dict.fromkeys(name for child in runs for name in child.metrics if is_design(name)))
-    columns = [
-        *criterion_metrics(child.metrics for child in runs),
-        INCREASE,
-        "violation",
-        *names,
-        ITERATIONS,
-        ANALYSES,
-    ]
-    columns = [name for name in columns if any(name in child.metrics for child in runs)]
-    head = "".join(f"<th>{escape(metric_heading(name))}</th>" for name in ("run", *columns, "status"))
+    starts, sign = list(map(Start.of, runs)), goal_sign(entry)
+    headings = start_headings(starts, sign)
+    head = "".join(f"<th>{escape(heading)}</th>" for heading in ("run", *headings.values(), "status"))
     rows = []
-    for child in runs:
-        cells = [child.name, *(number_text(c, child.metrics[c]) if c in child.metrics else "-" for c in columns)]
-        cells.append(child.tags.get("status", child.status.lower()).replace("_", " "))
-        best = ' class="best"' * (child.tags.get("best") == "true")
-        rows.append(f"<tr{best}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
+    for start in starts:
+        cells = "".join(f"<td>{escape(cell)}</td>" for cell in start_cells(start, headings, sign))
+        rows.append(f"<tr{' class=best' * start.best}>{cells}</tr>")
     return f"<h2>{plural(len(runs), 'run')}</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
 
 

@@ -19,7 +19,8 @@ from torchmbd.design.words import heading
 from torchmbd.optimization import MultistartResult, OptimizationResult
 from torchmbd.registry import Registry
 from torchmbd.study.record.journal import Journal
-from torchmbd.study.report.progress import CHANGE, ROWS, drop_order, outcome_cells, print_table, table_of
+from torchmbd.study.report.compare import Start, print_starts
+from torchmbd.study.report.progress import ROWS
 from torchmbd.study.settings import StudySettings
 from torchmbd.summary import few, plural
 from torchmbd.viz import (
@@ -39,33 +40,16 @@ from torchmbd.viz.panels import histories_of
 DRAWINGS: Registry[Callable[..., list[Any]]] = Registry("drawings", {})
 
 
-def print_results(study: StudySettings, outcome: MultistartResult, failures: Sequence[str], console: Console) -> None:
+def print_results(study: StudySettings, outcome: MultistartResult, journal: Journal, console: Console) -> None:
     """Print a table of the starts, the best first, what the searches did, and the failed evaluations."""
     if not outcome.results:
         console.print("No start came to a result.")
         return
-    columns = [
-        "start",
-        "objective",
-        CHANGE,
-        "viol.",
-        *study.columns.headings,
-        "iter",
-        "sims",
-        "status",
-    ]
-    table = table_of(f"{study.name}: {plural(len(outcome.results), 'start')}, {outcome.converged} converged", columns)
-    best = outcome.best
-    moved = [result for result in outcome.results if result.start == 0 and result.history]
-    first = moved[0].history[0].objective if moved else float("nan")
+    best, failures = outcome.best, journal.failures
     ranked = sorted(outcome.results, key=lambda r: (not r.violation <= study.feasibility, r.value))
-    for result in ranked[:ROWS]:
-        angles = [f"{value:z.2f}" for value in study.columns.by_name(result.x).values()]
-        cells = [str(result.start), *outcome_cells(first, result.value, result.violation, study.sign), *angles]
-        cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
-        table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
-    angles = drop_order(4, len(study.columns.names), [-2, 3, -3, 2])
-    if not print_table(table, console, angles) and best is not None:
+    shown = [Start(str(r.start), journal.last_numbers(r), r.status, r is best) for r in ranked[:ROWS]]
+    title = f"{study.name}: {plural(len(outcome.results), 'start')}, {outcome.converged} converged"
+    if not print_starts(title, shown, study.sign, console, "start") and best is not None:
         console.print(f"best design: {study.columns.named(best.x)}", soft_wrap=True, highlight=False)
     if len(ranked) > ROWS:
         console.print(f"the best {ROWS} of {len(ranked)} starts; torchmbd best --count {len(ranked)} prints all")
