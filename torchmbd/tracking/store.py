@@ -115,8 +115,8 @@ def open_store(uri: StoreURI | str) -> MlflowClient:
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
     logging.getLogger("alembic").setLevel(logging.WARNING)
-    for name in ("urllib3", "mlflow.store.db"):  # their retries; how they end is reported, without the user
-        logging.getLogger(name).setLevel(logging.ERROR)
+    for name in ("urllib3", "mlflow.store.db"):  # retries, tracebacks; how they end is reported, without the user
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     from mlflow import MlflowClient  # takes 3 seconds
     from mlflow.exceptions import MlflowException
 
