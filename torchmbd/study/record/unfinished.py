@@ -134,6 +134,8 @@ class StudyState:
         kept = {k: v for k, v in asdict(self).items() if k not in ("folder", "continues")}
         with open(draft, "w", encoding="utf-8", opener=private) as file:
             json.dump(kept, file)
+            file.flush()
+            os.fsync(file.fileno())  # a power cut would leave the new name to an empty file
         draft.replace(self.folder / _FILE)
 
 
