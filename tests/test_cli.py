@@ -63,7 +63,7 @@ def start(*arguments, **options):
         (["run", "study.yaml", "tracking.uri=sqlite:///a?b.db"], ["tracking.uri = 'sqlite:///a?b.db'", "without"]),
         (["best", "--count", "0"], ["count = 0", "1 or more"]),
         (["run", "study.yaml", "--workers", "-1"], ["workers = -1", "0 (one for each core) or more"]),
-        (["run", "study.yaml", "--scheduler", "here"], ["scheduler is 'here'", "tcp://host:8786"]),
+        (["run", "study.yaml", "--scheduler", "here"], ["scheduler = 'here'", "tcp://host:8786"]),
         (["run", "study.yaml", "simulate.duration=1e-300"], ["steps of 1.67e-302 s", "1e-12"]),
         (["check", "study.yaml", "options.cells=2,0"], ["cells = (0, 2)", ">= 1"]),
         (["run", "study.yaml", "--no-fresh"], []),
@@ -135,7 +135,7 @@ def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store
     assert cli.main(["best"]) == 0
     assert ', model="rod_model.py")' in capsys.readouterr().out
     assert cli.main(["compare", "study", "nothing"]) == 2
-    assert "run 'nothing' does not exist" in capsys.readouterr().err
+    assert "'nothing': must be study" in capsys.readouterr().err
     assert cli.main(["report", "study", "--output", "study.html"]) == 0
     assert (folder / "study.html").exists()
     assert cli.main(["sync"]) == 0

@@ -185,10 +185,7 @@ def list_(folder: Path | None = None, *, uri: Uri = None) -> int:
 
     if folder is not None and not folder.is_dir():
         raise InputError(
-            "folder",
-            str(folder),
-            rule="must be a folder that exists",
-            hint="no folder, which lists configs or the present folder",
+            "folder", str(folder), "a folder that exists", hint="no folder, which lists configs or the present folder"
         )
     console = Console()
     print_configs(folder or (path if (path := Path("configs")).is_dir() else Path()), console)
@@ -244,8 +241,9 @@ def ui(
         raise InputError(
             "uri",
             store,
-            "a store that contains studies; `torchmbd run` makes one",
-            state=f"= {store!r}: does not contain a study yet",
+            "a store that contains studies",
+            state=f"= {store!r} does not contain a study yet",
+            hint="`torchmbd run`, which makes one",
         )
     if store.served:
         console.print(f"{store} is a server already.", soft_wrap=True)

@@ -13,7 +13,7 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, TypeVar
@@ -32,28 +32,37 @@ class MbdError(Exception):
 
 Path = tuple[str | int, ...]  # keys to an argument: ("design", "rod.laminate.angles", "upper")
 _ABSENT: Any = object()
+_LONGEST = 400  # characters of a value in a message
 
 
 class InputError(MbdError, ValueError):
-    """An argument is wrong: the error has it, its value and what is allowed as fields, and writes them as a sentence.
+    """An argument is wrong: the error has the argument, its value, what is allowed and a remedy as fields.
 
     path     the keys to the argument, the last of which is its name: ("design", "rod.laminate.angles", "upper")
     value    its value
-    allowed  the values that are allowed, "a positive number"; or the names of which the value must be one
-    rule     the requirement as a predicate: "must lie between 0 and 1"
-    hint     the remedy, which the message adds after "Try: "
+    allowed  words that follow "must be"; a clause with its own "must"; or the names of which the value must be one
+             (the last key of the path, if `state` is given)
+    hint     the remedy, which follows "Try: "
+
+    All messages are written from these fields, and have one form:
+
+        argument = value: must be `allowed`. Try: `hint`
+
+    `allowed` is "a positive number" or "0 to 1", which follow "must be", or begins with "must" where another verb is
+    needed: "must have one row for each node". Where the value does not show what is wrong, `state` stands in its place:
+    "nodes has shape [3]: must have shape [n, 3]". A state that says what is needed needs a hint alone.
 
     An error that was made of a sentence alone has an empty path, and its value is None.
 
     >>> mbd.examples.pendulum().body("bop")
     Traceback (most recent call last):
         ...
-    torchmbd.errors.InputError: body 'bop' does not exist; allowed: bob; did you mean 'bob'?
+    torchmbd.errors.InputError: body = 'bop': must be bob. Try: 'bob'
     >>> try:
     ...     mbd.simulate(mbd.examples.pendulum(), duration=-1.0)
     ... except mbd.InputError as error:
     ...     print(error.argument, error.value, "|", error)
-    duration -1.0 | duration is -1.0 s; allowed: a positive number
+    duration -1.0 | duration = -1.0 s: must be a positive number
     """
 
     def __init__(
@@ -63,7 +72,6 @@ class InputError(MbdError, ValueError):
         allowed: str | Iterable[object] = "",
         hint: str = "",
         *,
-        rule: str = "",
         noun: str = "",
         shown: str | None = None,
         state: str = "",
@@ -71,20 +79,22 @@ class InputError(MbdError, ValueError):
         """Make the error of an argument, or of a sentence alone.
 
         argument  its name or the keys to it; a whole sentence where nothing else is given
-        rule      a sentence in place of `allowed`
         noun      the words for the argument in the message; default: its keys, with points between them
-        shown     the value in the message, with its unit; default: its repr; "": the rule says it
-        state     the words before "; allowed: ", "has shape (3,)"; default: "is" and the value
+        shown     the value in the message, with its unit; default: its repr; "": the message is without the value
+        state     the words in place of "= value": "has shape (3,)"
         """
         self.value = None if value is _ABSENT else value
         self.allowed = allowed if isinstance(allowed, str) else tuple(map(str, allowed))
-        self.rule, self.hint = rule, hint
-        self._is_sentence = value is _ABSENT and not allowed and not rule
+        self._is_sentence = value is _ABSENT and not state and allowed == "" and not hint
         keys = tuple(argument) if isinstance(argument, (tuple, list)) else (argument,)
+        near = (
+            "" if isinstance(self.allowed, str) else nearest(keys[-1] if state and keys else self.value, self.allowed)
+        )
+        self.hint = ", or ".join(x for x in (near, hint) if x)
         self.path: Path = () if self._is_sentence else keys
         self._noun = str(argument) if self._is_sentence else noun
-        self._shown = shown if shown is not None else "" if value is _ABSENT else repr(value)
-        self._has_value, self._state = value is not _ABSENT, state
+        self._shown = shown if shown is not None else "" if value is _ABSENT else _brief(value, _LONGEST)
+        self._has_value, self.state = value is not _ABSENT, state
         super().__init__(str(self))
 
     def __reduce__(self) -> Any:
@@ -107,29 +117,28 @@ class InputError(MbdError, ValueError):
 
     @property
     def reason(self) -> str:
-        """The message as it follows the argument's key in a file: "= -1.0 s; allowed: a positive number"."""
-        if self._is_sentence or not (self.rule or isinstance(self.allowed, str)):
+        """The message as it follows the argument's key in a file: "= -1.0 s: must be a positive number"."""
+        if self._is_sentence:
             return f": {self}"
-        if self._has_value and not self._shown and not self._state:
-            return f"= {_brief(self.value)}: {self.predicate()}"
-        return self.predicate("=")
-
-    def predicate(self, verb: str = "is") -> str:
-        """The message without its subject; `verb`: the word before the value if the message says what is allowed."""
-        if self.rule:
-            value = f"= {self._shown}: " if self._shown else ""
-            text = f"{value}{self.rule}"
-        elif isinstance(self.allowed, str):
-            text = f"{self._state or f'{verb} {self._shown}'}; allowed: {self.allowed}"
-        else:
-            text = f"{self._shown} does not exist{nearest(self.value, self.allowed)}"
-        return f"{text}{'' if text.endswith('?') else '.'} Try: {self.hint}" if self.hint else text
+        what = self.state or (f"= {self._shown}" if self._shown else "")
+        text = ": ".join(x for x in (what, must(self.allowed)) if x)
+        return f"{text}. Try: {self.hint}" if self.hint else text
 
     def __str__(self) -> str:
-        if self._is_sentence:
-            return self._noun
-        predicate = self.predicate()
-        return f"{self._noun or self.argument}{'' if predicate.startswith(':') else ' '}{predicate}"
+        return self._noun if self._is_sentence else _joined(self._noun or self.argument, self.reason)
+
+
+def must(allowed: str | Sequence[str]) -> str:
+    """Return the clause of a message that says what is allowed: "must be a positive number"; "" for no words."""
+    if not isinstance(allowed, str):
+        if not allowed:
+            return "must be left out, because there are no names"
+        allowed = allowed[0] if len(allowed) == 1 else f"one of {', '.join(allowed)}"
+    return allowed if not allowed or allowed.startswith("must ") else f"must be {allowed}"
+
+
+def _joined(noun: str, reason: str) -> str:
+    return f"{noun}{'' if reason.startswith(':') else ' '}{reason}"
 
 
 def _received(kind: type[InputError], fields: dict[str, Any], args: tuple[Any, ...]) -> InputError:
@@ -170,13 +179,18 @@ _MISSPELT = (
 
 
 def nearest(name: object, allowed: Iterable[object]) -> str:
-    """Return `"; allowed: ...; did you mean 'x'?"` for the end of a message about an unknown name."""
-    options = [str(option) for option in allowed]
-    close = _closest(str(name), options)
-    hint = f"; did you mean {close!r}?" if close else ""
+    """Return the hint for an unknown name: the one of those allowed that is nearest to it, "" if none is near."""
     if isinstance(name, str) and name == "device":
-        hint = "; torchmbd computes on the CPU alone"
-    return f"; allowed: {', '.join(options) or '(none)'}{hint}"
+        return "no device, because torchmbd computes on the CPU alone"
+    close = _closest(str(name), [str(option) for option in allowed])
+    return repr(close) if close else ""
+
+
+def must_be_one(name: object, allowed: Iterable[object]) -> str:
+    """Return the end of a message about an unknown name: "must be one of a, b. Try: 'a'"."""
+    names = tuple(map(str, allowed))
+    hint = nearest(name, names)
+    return f"{must(names)}. Try: {hint}" if hint else must(names)
 
 
 def _closest(name: str, options: list[str], cutoff: float = 0.5) -> str | None:
@@ -208,19 +222,20 @@ def one_of(kind: str | Path, name: object, allowed: Iterable[object]) -> str:
     return name
 
 
-def unknown(kind: str | Path, name: object, allowed: Iterable[object], path: Path = ()) -> InputError:
+def unknown(kind: str | Path, name: object, allowed: Iterable[object], path: Path = (), hint: str = "") -> InputError:
     """Build the error for a name that does not exist, with the nearest that does.
 
     kind  a word for what it names, or the keys to the argument
     path  the keys to the argument; default: `kind`
+    hint  another remedy
     """
-    return InputError(path or kind, name, list(allowed), noun=kind if isinstance(kind, str) else "")
+    return InputError(path or kind, name, list(allowed), hint, noun=kind if isinstance(kind, str) else "")
 
 
 def not_installed(argument: str | Path, value: Any, what: str, package: str, remedy: str) -> InputError:
     """Build the error for what needs a package that is not installed; remedy: the command that installs it."""
-    rule = f"needs the package {package}, which is not installed"
-    return InputError(argument, value, rule=rule, hint=remedy, noun=what, shown="")
+    state = f"needs the package {package}, which is not installed"
+    return InputError(argument, value, hint=remedy, noun=what, state=state)
 
 
 def wrong_entry(place: object, fault: str, allowed: str = "", key: str = "", hint: str = "") -> InputError:
@@ -230,9 +245,7 @@ def wrong_entry(place: object, fault: str, allowed: str = "", key: str = "", hin
     key    the field or attribute there; "": the error is about the whole place
     """
     path = (str(place), key) if key else (str(place),)
-    if allowed:
-        return InputError(path, allowed=allowed, hint=hint, noun=f"{place}:", state=fault)
-    return InputError(path, rule=fault, hint=hint, noun=f"{place}:")
+    return InputError(path, allowed=allowed, hint=hint, noun=f"{place}:", state=fault)
 
 
 def within(place: object, error: InputError, *keys: str | int) -> InputError:
@@ -242,10 +255,10 @@ def within(place: object, error: InputError, *keys: str | int) -> InputError:
     """
     path = (*(keys or (str(place),)), *error.path)
     value = error.value if error._has_value else _ABSENT
-    rule = str(error).removesuffix(f". Try: {error.hint}")
-    whole = InputError(path, value, rule=rule, hint=error.hint, noun=f"{place}:", shown="")
-    whole.allowed = error.allowed
-    return whole
+    if error._is_sentence:
+        return InputError(path, value, noun=f"{place}:", state=str(error))
+    noun = f"{place}: {error._noun or error.argument}"
+    return InputError(path, value, error.allowed, error.hint, noun=noun, shown=error._shown, state=error.state)
 
 
 def true_or_false(name: str | Path, value: Any) -> bool:
@@ -369,6 +382,6 @@ def _add_names(error: TypeError, function: Callable[..., Any], unknown: dict[str
             error.add_note(f"Try: {name} = ... in place of {key} = {_brief(value)}.")
 
 
-def _brief(x: object) -> str:
-    text = repr(x).partition("\n")[0]
-    return text if len(text) <= 60 else f"{text[:57]}..."
+def _brief(x: object, longest: int = 60) -> str:
+    text, more, _ = repr(x).partition("\n")
+    return text if len(text) <= longest and not more else f"{text[: longest - 3]}..."

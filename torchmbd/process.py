@@ -119,7 +119,7 @@ class threads:
 
     def __init__(self, count: int) -> None:
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-            raise InputError("threads", count, rule="must be an integer, 1 or more", hint=f"mbd.threads({cores()})")
+            raise InputError("threads", count, "an integer, 1 or more", hint=f"mbd.threads({cores()})")
         self._before = _stated[:]
         _stated[:] = [count]
 
@@ -137,7 +137,7 @@ def thread_count() -> int:
     if (text := os.environ.get(THREADS)) is None:
         return cores()
     if not (text.isascii() and text.isdigit() and int(text)):
-        raise InputError(str(THREADS), text, rule="must be an integer, 1 or more", hint=f"{THREADS}={cores()}")
+        raise InputError(str(THREADS), text, "an integer, 1 or more", hint=f"{THREADS}={cores()}")
     return int(text)
 
 

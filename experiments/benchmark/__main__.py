@@ -226,7 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     for part in options.parts:
         if part not in PARTS:
-            parser.error(f"part {part!r}; allowed: {', '.join(PARTS)}")
+            parser.error(f"part = {part!r}: must be one of {', '.join(PARTS)}")
     if options.peer and not exudyn_peer.available():
         parser.error("--peer exudyn, but the package exudyn is not installed: pip install exudyn")
     torch.set_num_threads(1)

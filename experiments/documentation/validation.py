@@ -83,7 +83,7 @@ def main() -> int:
     torch.set_num_threads(1)
     known = [x for name in arguments.pages or names for x in recorded.commands(pages[name])]
     if arguments.only not in (None, *known):
-        parser.error(f"--only is {arguments.only!r}; allowed: one of {known}")
+        parser.error(f"--only = {arguments.only!r}: must be one of {known}")
     sections = [(name, x) for name in arguments.pages or names for x in recorded.commands(pages[name])]
     todo = {f"{name}: {x}": (name, x) for name, x in sections if arguments.only in (None, x)}
 

@@ -78,7 +78,7 @@ def build(
         ("reduction", reduction, ("vibration", "craig-bampton")),
     ):
         if choice not in allowed:
-            raise mbd.InputError(f"{name} is {choice!r}; allowed: {', '.join(allowed)}")
+            raise mbd.InputError(name, choice, allowed)
     ground, truss, (x, y) = mbd.Ground(), Truss(trusses, radius, tuple(truss_angles)), rod_point
     flat, level = folded(stowed), folded(stowed - STOWED)  # axes of panel 2, of panel 3 and its parallel, the crank
     center2, center3 = HALF * flat[:, 0], LENGTH * flat[:, 0] + HALF * level[:, 0]

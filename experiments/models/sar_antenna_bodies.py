@@ -143,5 +143,7 @@ def node_at(mesh: mbd.Mesh, name: str, x: float, y: float) -> int:
     """Node at a place of the mesh of a panel [m]; InputError if there is none."""
     distance = (mesh.nodes - torch.tensor([x, y, 0.0], dtype=torch.float64)).norm(dim=1)
     if float(distance.min()) > 1e-9:
-        raise mbd.InputError(f"no node at ({x}, {y}) m of {name!r}; allowed: cells in multiples of (16, 8)")
+        raise mbd.InputError(
+            "cells", hint="cells in multiples of (16, 8)", state=f"of {name!r} have no node at ({x}, {y}) m"
+        )
     return int(distance.argmin())

@@ -76,7 +76,7 @@ def stack(name: str) -> str:
     """A lay-up of four layers as the paper prints it."""
     layers = LAYUPS[name]
     if layers is None:
-        raise mbd.InputError(f"{name!r} has no layers; allowed: designs with a laminate")
+        raise mbd.InputError("name", name, "a design with a laminate")
     return angles([*layers, *layers[::-1]])
 
 

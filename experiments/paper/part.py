@@ -49,7 +49,7 @@ class Row:
 
     def __post_init__(self) -> None:
         if self.label not in LABELS:
-            raise mbd.InputError(f"label of {self.what!r} is {self.label!r}; allowed: {', '.join(LABELS)}")
+            raise mbd.InputError("label", self.label, LABELS, noun=f"label of {self.what!r}")
 
     @property
     def ratio(self) -> float | None:
@@ -131,5 +131,5 @@ def _library() -> str:
 def _source(module: str) -> str:
     source = importlib.util.find_spec(module)
     if source is None or source.origin is None:
-        raise mbd.InputError(f"module {module!r} of a part has no source; allowed: modules of this repository")
+        raise mbd.InputError("module", module, "a module of this repository", noun="module of a part")
     return hashlib.sha256(Path(source.origin).read_bytes()).hexdigest()

@@ -66,7 +66,9 @@ class _Masses(nn.Module):
     def forward(self) -> tuple[Tensor, Tensor]:
         _, mass, rotary, arm = self.body.assembly.masses()
         if arm is not None:
-            raise mbd.InputError(f"masses of {self.body.name!r} lie off its nodes; allowed: masses at nodes")
+            raise mbd.InputError(
+                ("masses", self.body.name), allowed="at its nodes", noun=f"masses of {self.body.name!r}"
+            )
         return mass, rotary
 
 
@@ -271,7 +273,7 @@ def slider_crank(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Call
     """
     for joint in system.joints:
         if isinstance(joint, mbd.Universal):
-            raise mbd.InputError(f"joint {joint.name!r} is universal; allowed: build(..., joint='spherical'), as here")
+            raise mbd.InputError(("joints", joint.name), joint, "spherical", "build(..., joint='spherical')")
     rod: Any = system.body("rod")
     left, right = rod.mesh.node("left"), rod.mesh.node("right")
 

@@ -125,7 +125,7 @@ def apart(
     # Links between the joints of one body, and bodies without a name, are not compared.
     bodies = {identifier(theirs.body(k).name): k for k in range(theirs.nbody) if theirs.body(k).name}
     if not bodies.keys() & {body.name for body in system.bodies}:
-        raise mbd.InputError("no body that moves has a name; allowed: names")
+        raise mbd.InputError("bodies", allowed="must have names", state="that move have no names")
     for body in system.bodies:
         if body.name not in bodies:
             continue
@@ -159,7 +159,7 @@ def main() -> None:
                     warnings.simplefilter("ignore")
                     read.append(comparison := compared(path))
             except mbd.InputError as error:
-                why = re.sub(r"^[^:<]*?(, body .*?: |: |, (?=<))", "", str(error).partition("; allowed")[0])
+                why = re.sub(r"^[^:<]*?(, body .*?: |: |, (?=<))", "", str(error).partition(": must ")[0])
                 refused.setdefault(re.sub(r" '.*?'", "", why), []).append(path.name)
             except ValueError as error:  # of MuJoCo
                 why = re.sub(r" '.*?'.*|^Error: ", "", str(error).splitlines()[0])

@@ -98,7 +98,7 @@ def run(files: list[Path]) -> tuple[dict[str, Compared], list[str]]:
             try:
                 read[str(path.relative_to(path.parents[2]))] = compared(path)
             except mbd.InputError as error:
-                refused.append(f"  {path.name}: {str(error).removeprefix(f'{path.name}: ').partition('; allowed')[0]}")
+                refused.append(f"  {path.name}: {str(error).removeprefix(f'{path.name}: ').partition(': must ')[0]}")
     return read, refused
 
 

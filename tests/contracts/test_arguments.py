@@ -1,4 +1,4 @@
-"""Arguments of a wrong kind are refused by name, with their value and what is allowed: no other exception."""
+"""Arguments of a wrong kind are refused by name, with their value and what is must be no other exception."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_it_is_refused_with_the_path_of_the_argument(call, argument):
     with pytest.raises(InputError) as error:
         call()
     assert argument in re.split(r"\W+", error.value.argument), error.value
-    assert error.value.allowed or error.value.rule, error.value
+    assert error.value.allowed or error.value.hint, error.value
 
 
 def test_a_grid_of_too_many_values_is_refused_with_their_number():

@@ -163,4 +163,4 @@ def test_a_wrong_number_is_refused_with_the_path_of_its_argument(name, kind):
             make(**{**others, argument: WRONG[kind]})
         words = re.split(r"\W+", error.value.argument)
         assert VECTORS.get(name, {}).get(argument, argument) in words, f"{name}, {argument}: {error.value}"
-        assert error.value.allowed or error.value.rule, f"{name}, {argument}: {error.value}"
+        assert error.value.allowed or error.value.hint, f"{name}, {argument}: {error.value}"

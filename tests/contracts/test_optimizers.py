@@ -462,7 +462,7 @@ def test_start_outside_the_bounds_is_named():
 def test_wrong_names_are_answered_with_the_nearest():
     with refused("method", "mfd", meant="mmfd"):
         optimize(quadratic(), "mfd")
-    with refused("delobjs", 0.001, "did you mean 'delobj'"):
+    with refused("delobjs", 0.001, "Try: 'delobj'"):
         optimize(quadratic(), "mmfd", delobjs=1e-3)
     with refused("ct", 0.03):
         optimize(quadratic(), "mmfd", ct=0.03)

@@ -107,7 +107,9 @@ def test_measures_of_the_design():
     [(lambda m: 3.0, "3.0"), (lambda m: m.t, r"shape \(5,\)"), (lambda m: torch.zeros(2, 5, 1), r"shape \(2, 5, 1\)")],
 )
 def test_a_response_of_one_s_own_must_have_the_shape_of_one(function, found):
-    with pytest.raises(mbd.InputError, match=rf"returned {found}.*; allowed: a tensor of shape \(2, 5\), real numbers"):
+    with pytest.raises(
+        mbd.InputError, match=rf"returned {found}.*: must return a tensor of shape \(2, 5\), real numbers"
+    ):
         mbd.Max(history(function)).value(clock(5))
 
 

@@ -115,17 +115,17 @@ def test_an_initial_limit_needs_an_initial_motion():
     ("given", "words"),
     [
         ({"minimize": ENERGY}, ["minimize is", "StrainEnergy", "a measure, such as Integral"]),
-        ({"system": None}, ["system is None", "a System"]),
+        ({"system": None}, ["system = None", "a System"]),
         ({"subject_to": [mbd.Max(ENERGY)]}, ["subject_to has", "Max", "constraints, such as Max"]),
-        ({"subject_to": "initial"}, ["subject_to is 'initial'", "a list of constraints, such as Max"]),
+        ({"subject_to": "initial"}, ["subject_to = 'initial'", "a list of constraints, such as Max"]),
         ({"duration": 0.0}, ["duration", "0.0", "positive"]),
         ({"duration": math.nan}, ["duration", "nan", "positive"]),
-        ({"method": "dopri"}, ["method 'dopri'", "did you mean 'dopri"]),
+        ({"method": "dopri"}, ["method = 'dopri'", "Try: 'dopri"]),
         ({"steps": 0}, ["steps", "0", "positive integer"]),
-        ({"rtol": 1e-6}, ["option 'rtol'", "spectral_radius"]),
-        ({"minimize": mbd.Integral(mbd.StrainEnergy("rdo"))}, ["'rdo'", "did you mean 'rod'"]),
-        ({"subject_to": [mbd.Max(mbd.StrainEnergy("arm")) <= 1.0]}, ["'arm' is rigid", "allowed: rod"]),
-        ({"variables": ["rod.angles"]}, ["'rod.angles'", "did you mean"]),
+        ({"rtol": 1e-6}, ["rtol = 1e-06 is not an option", "spectral_radius"]),
+        ({"minimize": mbd.Integral(mbd.StrainEnergy("rdo"))}, ["'rdo'", "Try: 'rod'"]),
+        ({"subject_to": [mbd.Max(mbd.StrainEnergy("arm")) <= 1.0]}, ["'arm' is rigid", "must be rod"]),
+        ({"variables": ["rod.angles"]}, ["'rod.angles'", "Try:"]),
         ({"bounds": (1.0, 0.0)}, ["lower bound of", "must be below upper"]),
     ],
     ids=lambda x: "-".join(f"{k}={v}" for k, v in x.items())[:40] if isinstance(x, dict) else "",
@@ -134,7 +134,7 @@ def test_bad_input_is_refused_at_the_door(given, words):
     """When the problem is made, not hours later as evaluations that all failed."""
     with pytest.raises(InputError) as error:
         problem(**given)
-    assert error.value.allowed or error.value.rule
+    assert error.value.allowed or error.value.hint
     for word in words:
         assert word in str(error.value)
 
@@ -214,8 +214,8 @@ def test_the_status_of_a_design_names_no_lane(monkeypatch):
     def refusing(X, gradients):
         cut = tuple(np.flatnonzero(X[:, 0] > 1.0).tolist())
         if cut:
-            noun = f"modes = 2{lane_name(cut[0], len(X))}"
-            raise CutCluster(("rod", "modes"), 2, ": must not divide modes", "", cut, 3, noun)
+            shown = f"2{lane_name(cut[0], len(X))}"
+            raise CutCluster(("modes",), 2, "must not divide modes", "", cut, 3, shown)
         return motions(X, gradients)
 
     monkeypatch.setattr(part, "_motions", refusing)

@@ -57,11 +57,11 @@ def test_bounds_and_start_one_for_each(system):
     [
         (
             {"variables": ["two.laminate.angle"]},
-            ["parameter 'two.laminate.angle'", "did you mean 'two.laminate.angles'"],
+            ["parameter = 'two.laminate.angle'", "Try: 'two.laminate.angles'"],
         ),
-        ({"bounds": (0.0, 1.0, 2.0)}, ["bounds is (0.0, 1.0, 2.0)", "two entries, (lower, upper)"]),
-        ({"bounds": 1.0}, ["bounds is 1.0", "(lower, upper)"]),
-        ({"bounds": ([0.0] * 4, 1.0)}, ["lower bound has 4 values", "allowed: 5, or one number for all"]),
+        ({"bounds": (0.0, 1.0, 2.0)}, ["bounds = (0.0, 1.0, 2.0)", "two entries, (lower, upper)"]),
+        ({"bounds": 1.0}, ["bounds = 1.0", "(lower, upper)"]),
+        ({"bounds": ([0.0] * 4, 1.0)}, ["lower bound has 4 values", "must have 5, or one number for all"]),
         (
             {"bounds": (1.0, -1.0)},
             ["lower bound of one.laminate.angles[0]", "= 1 rad (57.2958 deg)", "must be below upper = -1 rad"],
@@ -75,12 +75,12 @@ def test_bounds_and_start_one_for_each(system):
                 "must lie between 0.5 rad (28.6479 deg) and 2 rad (114.592 deg)",
             ],
         ),
-        ({"start": [0.0, 1.0]}, ["start has 2 values", "allowed: 5, or one number for all"]),
+        ({"start": [0.0, 1.0]}, ["start has 2 values", "must have 5, or one number for all"]),
         ({"start": [np.nan] * 5}, ["start", "nan", "numbers"]),
-        ({"bounds": ("low", 1.0)}, ["lower bound is 'low'", "numbers"]),
-        ({"bounds": ([0.0, "b", 0.0, 0.0, 0.0], 1.0)}, ["lower bound is", "'b'", "numbers"]),
-        ({"variables": ["two.laminate.angles"] * 2}, ["variables is", "each parameter once"]),
-        ({"variables": "two.laminate.angles"}, ["variables is 'two.laminate.angles'", "a list of names"]),
+        ({"bounds": ("low", 1.0)}, ["lower bound = 'low'", "numbers"]),
+        ({"bounds": ([0.0, "b", 0.0, 0.0, 0.0], 1.0)}, ["lower bound = ", "'b'", "numbers"]),
+        ({"variables": ["two.laminate.angles"] * 2}, ["variables = ", "each parameter once"]),
+        ({"variables": "two.laminate.angles"}, ["variables = 'two.laminate.angles'", "a list of names"]),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )
@@ -89,7 +89,7 @@ def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words, sys
         DesignSpace(system, **given)
     for word in words:
         assert word in str(error.value)
-    assert "allowed" in str(error.value) or "must" in str(error.value)
+    assert "must" in str(error.value)
 
 
 def test_a_system_without_parameters_has_no_designs():

@@ -93,7 +93,7 @@ def test_what_a_file_can_say(spec, expected):
 def test_the_name_is_told_from_its_options():
     """Whatever stands first: `integrl` is the unknown name, not the window."""
     for spec in ({"integrl": {"strain_energy": "rod"}, "window": [0, 1]}, {"window": [0, 1], "integrl": "rod"}):
-        with pytest.raises(SpecError, match="did you mean 'integral'") as error:
+        with pytest.raises(SpecError, match="Try: 'integral'") as error:
             measure_of(spec)
         assert error.value.path[-1] == "integrl"
 
@@ -131,12 +131,12 @@ def test_every_registered_name_can_be_said():
     ("spec", "path", "words"),
     [
         ("integral", (), ["'integral'", "must be a mapping"]),
-        ({}, (), ["has 0 keys; must have exactly one", "integral"]),
-        ({"integrl": {"strain_energy": "rod"}}, ("integrl",), ["unknown name", "did you mean 'integral'"]),
-        ({"max": {"strain_energie": "rod"}}, ("max", "strain_energie"), ["did you mean 'strain_energy'"]),
+        ({}, (), ["has 0 keys: must have exactly one", "integral"]),
+        ({"integrl": {"strain_energy": "rod"}}, ("integrl",), ["unknown name", "Try: 'integral'"]),
+        ({"max": {"strain_energie": "rod"}}, ("max", "strain_energie"), ["Try: 'strain_energy'"]),
         ({"max": {"strain_energy": "rod"}, "min": {"strain_energy": "rod"}}, (), ["has 2 keys"]),
         ({"max": {"strain_energy": 3}}, ("max", "strain_energy"), ["= 3: must be a name", "body"]),
-        ({"max": {"strain_energy": "rod"}, "windw": [0, 1]}, ("windw",), ["unknown key", "did you mean 'window'"]),
+        ({"max": {"strain_energy": "rod"}, "windw": [0, 1]}, ("windw",), ["unknown key", "Try: 'window'"]),
         ({"max": {"strain_energy": "rod"}, "window": [1, 0]}, ("window",), ["window = [1, 0]", "t0 < t1"]),
         (
             {"max": {"strain_energy": "rod", "window": [0, 1]}},
@@ -144,14 +144,14 @@ def test_every_registered_name_can_be_said():
             ["an argument of 'max' stands beside it"],
         ),
         ({"max": {"velocity": "rod"}}, ("max", "velocity"), ["needs 'axis'"]),
-        ({"max": {"velocity": {"body": "rod", "axs": "x"}}}, ("max", "velocity", "axs"), ["did you mean 'axis'"]),
+        ({"max": {"velocity": {"body": "rod", "axs": "x"}}}, ("max", "velocity", "axs"), ["Try: 'axis'"]),
         ({"at_time": {"strain_energy": "rod"}}, (), ["needs 'time'"]),
-        ({"at_time": {"strain_energy": "rod"}, "time": -1}, ("time",), ["time = -1; allowed: zero or positive"]),
+        ({"at_time": {"strain_energy": "rod"}, "time": -1}, ("time",), ["time = -1: must be zero or positive"]),
         ({"mass": "rod", "number": 1}, ("number",), ["unknown key"]),
         ({"weighted_sum": {}}, ("weighted_sum",), ["must be a list of measures"]),
         ({"weighted_sum": [{"mass": "rod"}]}, ("weighted_sum", 0), ["needs the key 'weight'"]),
         ({"weighted_sum": [{"mass": "rod", "weight": "1"}]}, ("weighted_sum", 0, "weight"), ["must be a number"]),
-        ({"weighted_sum": [{"maas": "rod", "weight": 1}]}, ("weighted_sum", 0, "maas"), ["did you mean 'mass'"]),
+        ({"weighted_sum": [{"maas": "rod", "weight": 1}]}, ("weighted_sum", 0, "maas"), ["Try: 'mass'"]),
     ],
     ids=str,
 )

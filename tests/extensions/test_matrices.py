@@ -116,16 +116,16 @@ def test_a_file_of_two_matrices(tmp_path):
         ("a.mtx", "1 1 4.0\n1 2 x\n", "a.mtx, line 2: '1 2 x'"),
         ("a.mtx", "1 1 4.0\n1, 1, 1, 2, 5.0\n", "two kinds of lines"),
         ("a.mtx", "", "no entries"),
-        ("a.mtx", "1 1000000000 4.0\n", "allowed: square, at most 3000000 rows"),
+        ("a.mtx", "1 1000000000 4.0\n", "must be square, with at most 3000000 rows"),
         (
             "a.mtx",
             "%%MatrixMarket matrix coordinate real general\n2000000000 2000000000 1\n1 1 1.0\n",
             "at most 3000000",
         ),
-        ("a.mtx", "%%MatrixMarket matrix coordinate complex general\n1 1 1\n1 1 1.0 2.0\n", "complex; allowed: real"),
+        ("a.mtx", "%%MatrixMarket matrix coordinate complex general\n1 1 1\n1 1 1.0 2.0\n", "complex: must be real"),
         ("a.mtx", "%%MatrixMarket matrix coordinate real general\n2 2 5\n1 1 1.0\n", "a.mtx"),
         ("a.op4", f"{4:8}{9:8}{6:8}{2:8}KGG     1P,3E23.16\n", "line 1: a matrix of 9 x 4"),
-        ("a.op4", f"{4:8}{4:8}{6:8}{4:8}KGG     1P,3E23.16\n", "type 4; allowed: 1 or 2"),
+        ("a.op4", f"{4:8}{4:8}{6:8}{4:8}KGG     1P,3E23.16\n", "type 4: must have type 1 or 2"),
         ("a.op4", "not a matrix\n", "not a header of an OP4 matrix"),
         ("a.op4", "\x18\0\0\0\4\0\0\0\4\0\0\0\6\0\0\0\2\0\0\0KGG     \x18\0\0\0", "Try: OP4 as text, not binary"),
         ("a.op4", f"{2:8}{2:8}{6:8}{2:8}KGG     1P,3E23.16\n{1:8}{7:8}{2:8}\n{1.0:23.16E}\n", "row 7, column 1"),
@@ -134,16 +134,16 @@ def test_a_file_of_two_matrices(tmp_path):
         (
             "a.op4",
             f"{2:8}{2:8}{6:8}{2:8}KGG     1P,3E23.16\n{1:8}{1:8}       y\n",
-            "a.op4, line 2: 'y'; allowed: whole",
+            "a.op4, line 2: 'y': must be whole",
         ),
         ("a.mtx", "%%MatrixMarket matrix coordinate real general\n3 3 1000000000000\n1 1 1.0\n", "entries in 72 bytes"),
         ("a.mtx", "%%MatrixMarket matrix array real general\n3000000 3000000\n1.0\n", "9000000000000 entries"),
-        ("a.mtx", "1,1,1,1,4.0\n1,8,1,8,5.0\n", "node 1 has the direction 8; allowed: 1 to 6"),
+        ("a.mtx", "1,1,1,1,4.0\n1,8,1,8,5.0\n", "node 1 has the direction 8: must be 1 to 6"),
         ("a.pch", "DMIG,KAAX,0,6,2,0\nDMIG,KAAX,1,-7,,1,-7,4.0\n", "node 1 has the direction -7"),
         ("a.pch", "DMIG,KAAX,1,1,,1,1,4.0\n", "comes later or never"),
         ("a.pch", "DMIG,KAAX,0,6,3,0\n", "and real"),
         ("a.pch", "GRID,1,,0.,0.,0.\n", "no DMIG matrix"),
-        ("a.txt", "1 1 4.0\n", "its ending is '.txt'"),
+        ("a.txt", "1 1 4.0\n", "its ending = '.txt'"),
     ],
 )
 def test_wrong_files_are_named(name, text, words, tmp_path):
@@ -206,7 +206,7 @@ def test_a_matrix_is_not_refused_for_its_neighbor(tmp_path):
         file.write_text(text)
         for name in ("K", "KGG"):
             assert read_matrix(file, name).matrix.toarray().tolist() == [[2.0, -1.0], [-1.0, 2.0]]
-        with pytest.raises(InputError, match=r"two.op4, line \d: CPX has type 4; allowed: 1 or 2, real"):
+        with pytest.raises(InputError, match=r"two.op4, line \d: CPX has type 4: must have type 1 or 2, real"):
             read_matrix(file, "CPX")
     file = tmp_path / "two.dmig"
     file.write_text("DMIG,KX,0,6,1\nDMIG,KX,3,3,,3,3,100.\nDMIG,RX,0,2,1,,,,1\nDMIG,RX,1,,,3,3,1.\n")

@@ -14,21 +14,21 @@ from torchmbd.errors import InputError
 any_: Any = mbd  # calls that a type checker would refuse as well
 LAMINATE = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45.0, -45.0]), 1e-3)
 CASES = [
-    *((lambda x=x: any_.io.read_mesh(x, "b", None), "path is .*; allowed: a mesh file") for x in (None, [], 3, b"x")),
-    *((lambda x=x: any_.io.read_bdf(x, "b"), "path is .*; allowed: a Nastran") for x in (None, [], 3, b"x")),
-    *((lambda x=x: any_.io.read_matrix(x), "path is .*; allowed: a matrix file") for x in (None, [], 3, b"x")),
-    *((lambda x=x: any_.io.read_beamdyn(x), "path is .*; allowed: a BeamDyn") for x in (None, [], 3, b"x")),
-    *((lambda x=x: any_.io.read_windio(x), "path is .*; allowed: a windIO") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.io.read_mesh(x, "b", None), "path = .*: must be a mesh file") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.io.read_bdf(x, "b"), "path = .*: must be a Nastran") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.io.read_matrix(x), "path = .*: must be a matrix file") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.io.read_beamdyn(x), "path = .*: must be a BeamDyn") for x in (None, [], 3, b"x")),
+    *((lambda x=x: any_.io.read_windio(x), "path = .*: must be a windIO") for x in (None, [], 3, b"x")),
     *(
-        (lambda x=x: any_.lamination.LaminationRules(min_share=x), "min_share is .*; allowed: 0 to 0.25")
+        (lambda x=x: any_.lamination.LaminationRules(min_share=x), "min_share = .*: must be 0 to 0.25")
         for x in ("x", [], {})
     ),
     *(
-        (lambda x=x: any_.lamination.LaminationRules(max_step=x), "max_step is .*; allowed: 0 to 90")
+        (lambda x=x: any_.lamination.LaminationRules(max_step=x), "max_step = .*: must be 0 to 90")
         for x in ("x", [], {})
     ),
-    (lambda: any_.lamination.LaminationRules(balanced="no"), "balanced is 'no'; allowed: True or False"),
-    (lambda: mbd.io.read_bdf("b.bdf", "b", units="inch"), "'inch'.*did you mean 'in'"),
+    (lambda: any_.lamination.LaminationRules(balanced="no"), "balanced = 'no': must be True or False"),
+    (lambda: mbd.io.read_bdf("b.bdf", "b", units="inch"), "'inch'.*Try: 'in'"),
     (lambda: any_.io.read_bdf("none.bdf", "r", modes=2, units=3), "units.*allowed"),
 ]
 

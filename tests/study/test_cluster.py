@@ -118,13 +118,13 @@ def test_what_is_submitted(slurm, monkeypatch):
     ("keys", "message"),
     [
         ({"time": "4 hours"}, "line 3: time = '4 hours'"),
-        ({"partion": "cpu"}, "did you mean 'partition'"),
+        ({"partion": "cpu"}, "Try: 'partition'"),
         ({"workers_per_job": 0}, "workers_per_job = 0: must be greater than 0"),
         ({"account": "me\n#SBATCH --uid=0"}, "account = "),
         ({"setup": ["true\nrm -rf ."]}, "setup.0 = "),
         ({"memory_per_worker": "lots"}, "memory_per_worker = 'lots'"),
-        ({"interface": "ib7"}, "line 1: interface = 'ib7': this machine has no address in such a network; allowed: lo"),
-        ({"interface": "l0"}, "did you mean 'lo'"),
+        ({"interface": "ib7"}, "line 1: interface = 'ib7': this machine has no address in such a network: must be lo"),
+        ({"interface": "l0"}, "Try: 'lo'"),
     ],
 )
 def test_what_is_wrong_is_named(slurm, keys, message):

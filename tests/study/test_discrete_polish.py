@@ -56,7 +56,7 @@ def test_the_best_design_on_the_steps(write, folder, empty_store):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        (given([15, 5, 5]), r"step.* has 3 values; allowed: 2"),
+        (given([15, 5, 5]), r"step.* has 3 values: must have 2"),
         (given(-5), r"step.*must not be negative"),
         (
             given(5, starts=None, optimizer=None, sweep={"rod.laminate.angles[0]": {"from": 0, "to": 1, "count": 2}}),

@@ -105,14 +105,20 @@ def test_figures_leave_nothing_behind_and_go_on_after_a_death(write, tmp_path, e
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("figures: figures.py:figurs", "did you mean 'figures'?"),
+        ("figures: figures.py:figurs", "Try: 'figures'"),
         (
             "figures: figures.py:silent",
-            "says nothing about what it returns; allowed: a function annotated with -> dict",
+            "says nothing about what it returns: must be annotated with -> dict",
         ),
-        ("figures: figures.py:figures\noptions: {angel: 1}", "options.angel unknown option; allowed: folder, angle"),
+        (
+            "figures: figures.py:figures\noptions: {angel: 1}",
+            "options.angel = 1 is not an option: must be one of folder, angle",
+        ),
         ("figures: figures.py:figures\noptions: {folder: /}", "options.folder is given by torchmbd"),
-        ("figures: figures.py:figures\nminimize: {}", "minimize unknown key; allowed: figures, options, tracking"),
+        (
+            "figures: figures.py:figures\nminimize: {}",
+            "minimize = {} is an unknown key: must be one of figures, options, tracking",
+        ),
         ("figures: 3", "figures = 3"),
     ],
 )

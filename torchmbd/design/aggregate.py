@@ -86,9 +86,10 @@ class Aggregate(Measure):
             raise DesignFailure(
                 "kind",
                 self.kind,
-                "rows of which one is positive; 'ks', with a scale, for others",
+                "must have a positive row",
                 noun="Aggregate(kind='p_norm')",
                 state=f"has no positive row in design {lane + 1}",
+                hint="kind='ks' with a scale, which takes other rows",
             )
         # Logarithms avoid overflow of powers.
         return torch.exp(torch.logsumexp(rho * rows.clamp_min(torch.finfo(rows.dtype).tiny).log(), 1) / rho)

@@ -71,7 +71,7 @@ class Angle(History):
             raise InputError(
                 "seen_from",
                 self.body,
-                "another body, or 'ground'",
+                "seen from another body, or 'ground'",
                 state="is zero",
                 noun=f"angle of {self.body!r} seen from itself",
             )

@@ -49,7 +49,9 @@ class AtTimes(OfHistory):
         if self.times is None:
             return
         if self.window is not None:
-            raise InputError("times", self.times, "one of them", state="are both given", noun="times and window")
+            raise InputError(
+                "times", self.times, "must not be given together", state="are both given", noun="times and window"
+            )
         if not len(self.times) or not all(0.0 <= float(t) < float("inf") for t in self.times):
             raise InputError("times", self.times, "at least one time, zero or positive [s]")
 
@@ -100,7 +102,11 @@ class AtPeaks(OfHistory):
 
     def __ge__(self, limit: float | str) -> Constraint:
         raise InputError(
-            "constraint", self, "<=, and for minima AtPeaks(-history) <= -limit", shown=f"{self} >= {limit!r}"
+            "constraint",
+            self,
+            "a constraint with <=",
+            shown=f"{self} >= {limit!r}",
+            hint="AtPeaks(-history) <= -limit, for minima",
         )
 
 

@@ -85,7 +85,9 @@ def push_forward(f: Callable[[Any], Tensor], motion: Trajectory) -> ValueAndGrad
     """
     made = motion.integration
     if not isinstance(made, ForwardIntegration) or not motion.variables:
-        raise InputError("motion", allowed="simulate(..., gradients='forward')", state="has no tangents")
+        raise InputError(
+            "motion", allowed="must have tangents", state="has no tangents", hint="simulate(..., gradients='forward')"
+        )
     names, designs = list(motion.variables), {name: x.detach() for name, x in motion.designs.items()}
     moving = {name: designs[name] for name in names}
     directions = _units(moving)

@@ -30,7 +30,7 @@ def flexible_bodies(argument: str, design: Any) -> list[FlexibleBody]:
     system = design if isinstance(design, System) else _system_of(argument, design)
     bodies = [body for body in system.bodies if isinstance(body, FlexibleBody)]
     if not bodies:
-        raise InputError(argument, design, rule="must have a flexible body", shown="a system without one")
+        raise InputError(argument, design, "must have a flexible body", shown="a system without one")
     return bodies
 
 
@@ -38,7 +38,7 @@ def _system_of(argument: str, result: Any) -> System:
     """Return a copy of the system of a result, whose parameters are those of its best design."""
     if isinstance(result, MultistartResult):
         if result.best is None:
-            raise InputError(argument, result, rule="must have a feasible design", shown="a multistart without one")
+            raise InputError(argument, result, "must have a feasible design", shown="a multistart without one")
         result = result.best
     problem, x = getattr(result, "problem", None), getattr(result, "x", None)
     while not isinstance(getattr(problem, "space", None), DesignSpace) and hasattr(problem, "problem"):

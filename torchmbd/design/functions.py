@@ -95,7 +95,7 @@ def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: 
             raise
         raise InputError(
             ("response", name),
-            allowed="operations of torch, such as torch.maximum for np.maximum, without .numpy()",
+            allowed="must use operations of torch, such as torch.maximum for np.maximum, without .numpy()",
             state="makes NumPy numbers of a motion that is differentiated",
             noun=f"response {name!r}",
         ) from error
@@ -103,7 +103,7 @@ def _checked_call(function: Callable[[Any], Tensor], motion: Trajectory, shape: 
         returned = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)
         raise InputError(
             ("response", name),
-            allowed=f"a tensor of shape {shape}, real numbers",
+            allowed=f"must return a tensor of shape {shape}, real numbers",
             state=f"returned {returned}",
             noun=f"response {name!r}",
         )

@@ -121,7 +121,13 @@ class Position(History):
         if self.node is not None:
             elastic_body(system, self.body).at(self.node)
         if self.point is not None and isinstance(body, FlexibleBody | FlexibleBeam):
-            raise InputError("point", self.point, "node", state=f"is {self.point!r} on the flexible body {self.body!r}")
+            raise InputError(
+                "point",
+                self.point,
+                "None",
+                state=f"is {self.point!r} on the flexible body {self.body!r}",
+                hint="node=..., which names a node",
+            )
         for name in (self.observer, self.axes):
             if name not in (None, GROUND):
                 system.body(name)
@@ -180,7 +186,7 @@ class Displacement(Position):
             raise InputError(
                 "seen_from",
                 self.body,
-                "a node, or seen_from",
+                "must have a node, or seen_from",
                 state="is zero",
                 noun=f"displacement of the origin of {self.body!r} seen from itself",
             )
@@ -362,9 +368,8 @@ def flexible_body(system: System, name: str) -> FlexibleBody:
     body = system.body(name)
     if not isinstance(body, FlexibleBody):
         flexible = [other.name for other in system.bodies if isinstance(other, FlexibleBody)]
-        raise InputError(
-            name, allowed=f"{', '.join(flexible) or '(the system has none)'}", noun=f"body {name!r}", state="is rigid"
-        )
+        allowed = flexible or "flexible, and the system has no flexible body"
+        raise InputError(name, allowed=allowed, noun=f"body {name!r}", state="is rigid")
     return body
 
 

@@ -90,9 +90,10 @@ def _require_history(measure: Measure, history: object) -> None:
         raise InputError(
             ("history", "wrapped"),
             True,
-            "the continuous angle",
+            "of the continuous angle",
             state="jumps between the samples",
             noun=f"{name} of an angle with wrapped=True",
+            hint="wrapped=False",
         )
 
 

@@ -261,7 +261,10 @@ class Problem(Summary):
         X = as_numbers("designs", X)
         if X.ndim != 2 or X.shape[1] not in sizes:
             raise InputError(
-                "designs", X, f"[lanes, {sizes[-1]}], of {', '.join(self.names)}", state=f"have shape {X.shape}"
+                "designs",
+                X,
+                f"must have shape [lanes, {sizes[-1]}], of {', '.join(self.names)}",
+                state=f"have shape {X.shape}",
             )
         return X
 

@@ -46,10 +46,12 @@ def constraints_of(subject_to: Any) -> list[Constraint]:
 def stated_objective(minimize: Any, maximize: Any) -> tuple[Measure, float]:
     """The measure that is minimized or maximized, and its sign in the minimization: 1, or -1 for `maximize`."""
     if minimize is not None and maximize is not None:
-        raise InputError("minimize", minimize, "one of them", shown=f"{minimize!r} and maximize is {maximize!r}")
+        raise InputError(
+            "minimize", minimize, "must not be given together", shown=f"{minimize!r} and maximize = {maximize!r}"
+        )
     if minimize is None and maximize is None:
-        rule = "is missing; allowed: a measure, here or as 'maximize'"
-        raise InputError("minimize", rule=rule, noun="'minimize' of Problem")
+        state, allowed = "is missing", "a measure, here or as 'maximize'"
+        raise InputError("minimize", noun="'minimize' of Problem", allowed=allowed, state=state)
     name, measure = ("minimize", minimize) if maximize is None else ("maximize", maximize)
     if not isinstance(measure, Measure):
         raise InputError(name, measure, "a measure, such as Integral(StrainEnergy('rod'))")
@@ -62,9 +64,9 @@ def stated_objective(minimize: Any, maximize: Any) -> tuple[Measure, float]:
 def require_duration(measure: Measure, duration: float) -> None:
     """InputError for a measure that looks at times beyond the simulated one [s]."""
     if measure.until > duration * (1.0 + 1e-9):  # of rounding
-        rule = f"looks at t = {measure.until:g} s; allowed: up to duration={duration:g} s"
+        state, allowed = f"looks at t = {measure.until:g} s", f"must look at most at duration={duration:g} s"
         argument = next((name for name in ("time", "times") if hasattr(measure, name)), "window")
-        raise InputError(argument, measure.until, rule=rule, noun=repr(measure), shown="")
+        raise InputError(argument, measure.until, allowed, noun=repr(measure), state=state)
 
 
 def limits_of(constraint: Constraint, initial: np.ndarray) -> np.ndarray:

@@ -129,7 +129,7 @@ class Combined(History):
         return formula(self.operation, self.parts)
 
     def __post_init__(self) -> None:
-        allowed = "another history or a number"
+        allowed = "combined with another history or a number"
         settle(self, "parts", tuple(operand(part, History, "history", allowed) for part in self.parts))
 
     @property
@@ -263,7 +263,11 @@ class Measure(ConstantArguments):
             return CombinedMeasure(torch.div, (self, divisor))
         if not is_number(divisor) or not divisor:
             raise InputError(
-                "divisor", divisor, "a finite number other than 0", state=f"is divided by {divisor!r}", noun="a measure"
+                "divisor",
+                divisor,
+                "divided by a finite number other than 0",
+                state=f"is divided by {divisor!r}",
+                noun="a measure",
             )
         return Total([(1.0 / divisor, self)])
 
@@ -295,7 +299,7 @@ class Measure(ConstantArguments):
         if result.gradient is None:
             raise InputError(
                 "motion",
-                allowed="simulate in grad mode, by a parameter that requires a gradient",
+                allowed="simulated in grad mode, with a parameter that requires a gradient",
                 state="has no gradient",
             )
         return result
@@ -307,10 +311,10 @@ class Measure(ConstantArguments):
         return Constraint(self, limit, "at_least")
 
     def __lt__(self, limit: Any) -> NoReturn:
-        raise InputError("constraint", self, "<=, >= or equals(...)", shown=f"{self} < {limit!r}")
+        raise InputError("constraint", self, "made with <=, >= or equals(...)", shown=f"{self} < {limit!r}")
 
     def __gt__(self, limit: Any) -> NoReturn:
-        raise InputError("constraint", self, "<=, >= or equals(...)", shown=f"{self} > {limit!r}")
+        raise InputError("constraint", self, "made with <=, >= or equals(...)", shown=f"{self} > {limit!r}")
 
     def equals(self, limit: float | str, scale: float | None = None) -> Constraint:
         """Equality constraint; `scale` divides the violation, for a limit of zero."""
@@ -328,7 +332,7 @@ def require_scalar_measures(parts: Iterable[Any], kind: str) -> None:
     """InputError unless every part is a measure of one number."""
     for part in parts:
         if not isinstance(part, Measure) or part.rows != 1:
-            raise InputError("parts", part, "measures of one number, such as Integral(...)", noun=f"part of {kind}")
+            raise InputError("parts", part, "a measure of one number, such as Integral(...)", noun=f"part of {kind}")
 
 
 @dataclass(frozen=True)
@@ -366,7 +370,7 @@ class CombinedMeasure(Measure):
         return formula(self.operation, self.parts)
 
     def __post_init__(self) -> None:
-        allowed = "measures of one number, or finite numbers"
+        allowed = "combined with measures of one number, or finite numbers"
         settle(self, "parts", tuple(operand(part, Measure, "measure", allowed) for part in self.parts))
         for part in self.parts:
             if isinstance(part, Measure) and part.rows != 1:
@@ -427,7 +431,7 @@ class Constraint(ConstantArguments):
         if not isinstance(self.limit, str) or self.limit != "initial":
             settle(self, "limit", scalar("limit", self.limit, "a finite number or 'initial'"))
         if self.kind not in KINDS:
-            raise InputError("kind", self.kind, ", ".join(KINDS), noun="kind of a constraint")
+            raise InputError("kind", self.kind, KINDS, noun="kind of a constraint")
         if self.scale is not None and not (is_number(self.scale) and float(self.scale) > 0.0):
             raise InputError("scale", self.scale, "a positive number", noun="scale of a constraint")
 
@@ -435,7 +439,7 @@ class Constraint(ConstantArguments):
         raise InputError(
             "constraint",
             self,
-            "two constraints",
+            "written as two constraints",
             noun="a constraint",
             state="has no truth value, which a chain such as 1 <= Max(...) <= 2 needs",
         )

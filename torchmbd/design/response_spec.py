@@ -34,7 +34,7 @@ from torchmbd.design.functions import FunctionHistory, FunctionMeasure
 from torchmbd.design.response import History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.weighted import WeightedSum
-from torchmbd.errors import InputError, Path, nearest
+from torchmbd.errors import InputError, Path, must_be_one
 from torchmbd.math.checked_numbers import is_real
 
 SUM, FUNCTION, SCALED, AGGREGATE = "weighted_sum", "function", "scaled", "aggregate"
@@ -47,10 +47,10 @@ Find = Callable[[str], Any]  # returns the function of a name such as `package.m
 
 
 class SpecError(InputError):
-    """A response that cannot be read: `path` is the keys to the wrong entry, `rule` the reason."""
+    """A response that cannot be read: `path` is the keys to the wrong entry, `state` the reason."""
 
     def __init__(self, path: Path, text: str):
-        super().__init__(path, rule=text, noun="" if path else "response")
+        super().__init__(path, state=text, noun="" if path else "response")
 
 
 def measure_of(spec: Any, path: Path = (), find: Find | None = None) -> Measure:
@@ -70,7 +70,7 @@ def measure_of(spec: Any, path: Path = (), find: Find | None = None) -> Measure:
     if name in OF_DESIGN:
         if options:
             key = next(iter(options))
-            raise SpecError((*path, key), f"unknown key{nearest(key, _arguments(OF_DESIGN[name]))}")
+            raise SpecError((*path, key), f"unknown key: {must_be_one(key, _arguments(OF_DESIGN[name]))}")
         return _from_word(OF_DESIGN[name], inner, (*path, name))
     return _built(COMBINATORS[name], (history_of(inner, (*path, name), find),), options, path)
 
@@ -86,10 +86,10 @@ def history_of(spec: Any, path: Path = (), find: Find | None = None) -> History:
         key = next(iter(options))
         outer = str(path[-1]) if path else ""
         if key not in _arguments(RESPONSES[name]) and outer in COMBINATORS and key in _arguments(COMBINATORS[outer]):
-            hint = f"an argument of {outer!r} stands beside it; allowed: {outer}: {{...}}, {key}: {options[key]!r}"
+            words = f"an argument of {outer!r} stands beside it. Try: {outer}: {{...}}, {key}: {options[key]!r}"
         else:
-            hint = f"arguments of {name!r} stand inside it; allowed: {name}: {{{key}: {options[key]!r}, ...}}"
-        raise SpecError((*path, key), f"unknown key: {hint}")
+            words = f"arguments of {name!r} stand inside it. Try: {name}: {{{key}: {options[key]!r}, ...}}"
+        raise SpecError((*path, key), f"unknown key: {words}")
     return _from_word(RESPONSES[name], spec[name], (*path, name))
 
 
@@ -129,7 +129,7 @@ def _operation(name: str, spec: Any, options: Mapping[str, Any], path: Path, rea
     entry = (*path, name)
     for key in options:
         if name != SCALED or key != "by":
-            raise SpecError((*path, key), f"unknown key{nearest(key, ['by'] if name == SCALED else [])}")
+            raise SpecError((*path, key), f"unknown key: {must_be_one(key, ['by'] if name == SCALED else [])}")
     if name in SINGLE:
         return _combined(SINGLE[name], entry, read(spec, entry))
     if name == SCALED:
@@ -173,7 +173,7 @@ def _function(spec: Any, options: Mapping[str, Any], path: Path, find: Find | No
             what = (
                 f"is {function!r}" if not isinstance(function, kind) else f"takes no options, but has {list(options)}"
             )
-            raise SpecError(entry, f"= {spec!r}: {what}; allowed: a {noun}, or a function with its options")
+            raise SpecError(entry, f"= {spec!r}: {what}: must be a {noun}, or a function with its options")
         return function
     annotation = function.__annotations__.get("return")
     returned = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
@@ -181,14 +181,17 @@ def _function(spec: Any, options: Mapping[str, Any], path: Path, find: Find | No
     if returned not in ("Tensor", kind.__name__):
         has_annotation = "return" in function.__annotations__
         what = f"is annotated -> {returned}" if has_annotation else "does not say what it returns"
-        raise SpecError(entry, f"= {spec!r}: {what}; allowed: -> Tensor or -> {kind.__name__}, or @mbd.{noun} above it")
+        raise SpecError(
+            entry,
+            f"= {spec!r}: {what}: must be annotated with -> Tensor or -> {kind.__name__}, or have @mbd.{noun} above it",
+        )
     of_motion = returned == "Tensor"
     _check_options(function, options, 1 if of_motion else 0, path)
     if of_motion:
         return response_of(partial(function, **options) if options else function)
     result = _combined(partial(function, **options), entry)
     if not isinstance(result, kind):
-        raise SpecError(entry, f"= {spec!r}: returned {result!r}; allowed: a {noun}")
+        raise SpecError(entry, f"= {spec!r}: returned {result!r}: must return a {noun}")
     return result
 
 
@@ -199,10 +202,10 @@ def _check_options(function: Callable[..., Any], options: Mapping[str, Any], bef
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters)
     for key in options:
         if key not in names and not takes_any:
-            raise SpecError((*path, key), f"unknown key{nearest(key, names)}")
+            raise SpecError((*path, key), f"unknown key: {must_be_one(key, names)}")
     for p in parameters:
         if p.name in names and p.default is p.empty and p.name not in options:
-            raise SpecError(path, f"needs {p.name!r}{nearest('', names)}")
+            raise SpecError(path, f"lacks {p.name!r}: must have {', '.join(names)}")
 
 
 def _not_imported(motion: Any) -> Any:
@@ -216,7 +219,7 @@ def _terms(spec: Any, path: Path, find: Find | None) -> list[tuple[float, Measur
     for k, term in enumerate(spec):
         entry = (*path, k)
         if not isinstance(term, Mapping) or "weight" not in term:
-            raise SpecError(entry, f"= {term!r}: needs the key 'weight'; allowed: a measure and its weight")
+            raise SpecError(entry, f"= {term!r}: must be a measure with a weight")
         weight = term["weight"]
         if not is_real(weight):
             raise SpecError((*entry, "weight"), f"= {weight!r}: must be a number")
@@ -232,7 +235,7 @@ def _name_and_options(spec: Any, names: Collection[str], path: Path) -> tuple[st
     if len(known) == 1:
         return known[0], {key: x for key, x in spec.items() if key != known[0]}
     if len(known) > 1 or not spec:
-        raise SpecError(path, f"has {len(known)} keys; must have exactly one{nearest('', names)}")
+        raise SpecError(path, f"has {len(known)} keys: must have exactly one of {', '.join(names)}")
     # Of several keys the name is the one that resembles a name: the others are its options, such as a window.
     key = max(spec, key=lambda key: max(SequenceMatcher(None, str(key), name).ratio() for name in names))
     registries = (RESPONSES, COMBINATORS, OF_DESIGN)
@@ -240,7 +243,7 @@ def _name_and_options(spec: Any, names: Collection[str], path: Path) -> tuple[st
         if absence := next((why for x in registries if (why := x.absence(str(absent)))), None):
             raise SpecError((*path, absent), f": {absence}")
     missing = next((f"; {why}" for x in registries if (why := x.missing(key))), "")
-    raise SpecError((*path, key), f"unknown name{nearest(key, names)}{missing}")
+    raise SpecError((*path, key), f"unknown name: {must_be_one(key, names)}{missing}")
 
 
 def _from_word(kind: type, spec: Any, path: Path) -> Any:

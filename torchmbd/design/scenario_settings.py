@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, Path, nearest
+from torchmbd.errors import InputError, Path
 from torchmbd.integrate.arguments import of_allowed_sign
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.plausible_units import check_parameter
@@ -41,8 +41,8 @@ def normalized_weights(weights: Any, count: int) -> np.ndarray:
     ):
         raise InputError("weights", weights, f"{count} numbers that are not negative, one for each scenario")
     if not sum(weights) > 0.0:
-        rule = "are all 0; allowed: at least one positive weight"
-        raise InputError("weights", weights, rule=rule, noun="weights of scenarios", shown="")
+        state, allowed = "are all 0", "must have at least one positive weight"
+        raise InputError("weights", weights, allowed, noun="weights of scenarios", state=state)
     return np.asarray(weights, dtype=float) / float(sum(weights))
 
 
@@ -60,13 +60,12 @@ def settings_of(
         if name == SYSTEM:
             continue
         if name not in parameters:
-            rule = f"does not exist{nearest(name, parameters)}"
-            noun = f"parameter {name!r} {place}"
-            raise InputError((*path, name), setting, hint=_PARAMETER, rule=rule, noun=noun, shown="")
+            noun, state = f"parameter {name!r} {place}", "does not exist"
+            raise InputError((*path, name), setting, parameters, _PARAMETER, noun=noun, state=state)
         noun = f"{name} {place}"
         if name in variables:
-            rule = "is a design variable; allowed: parameters that are not design variables"
-            raise InputError((*path, name), setting, rule=rule, noun=noun, shown="")
+            state, allowed = "is a design variable", "a parameter that is not a design variable"
+            raise InputError((*path, name), setting, allowed, noun=noun, state=state)
         value = _value((*path, name), noun, setting, parameters[name].detach())
         good, allowed = of_allowed_sign(system, name, value)
         if not good.all():
@@ -83,8 +82,8 @@ def _value(path: Path, noun: str, setting: Any, default: Tensor) -> Tensor:
     except (TypeError, ValueError, RuntimeError):
         value = torch.full_like(default, torch.nan)
     if value.dim() == 1 and value.shape != default.shape:
-        rule = f"has {len(value)} values; allowed: {default.numel()}, or one number for all"
-        raise InputError(path, setting, rule=rule, noun=noun, shown="")
+        state, allowed = f"has {len(value)} values", f"must have {default.numel()}, or one number for all"
+        raise InputError(path, setting, allowed, noun=noun, state=state)
     if value.shape not in (default.shape, torch.Size([])) or not torch.isfinite(value).all():
         allowed = f"finite numbers of shape {list(default.shape)}, or one for all"
         raise InputError(path, setting, allowed, noun=noun)

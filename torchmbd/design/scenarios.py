@@ -30,7 +30,7 @@ from torchmbd.design.problem import Problem
 from torchmbd.design.problem_parts import Reference, limits_of, reference_of
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.scenario_settings import SYSTEM, combined, normalized_weights, scenarios_by_name, settings_of
-from torchmbd.errors import InputError, SimulationFailure, unknown
+from torchmbd.errors import InputError, SimulationFailure, unknown, within
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
@@ -100,16 +100,15 @@ class Scenarios(Problem):
         super().__init__(system, duration, minimize, subject_to, **options)
         for name, rule, allowed in (("objective", objective, OBJECTIVES), ("constraints", constraints, CONSTRAINTS)):
             if rule not in allowed:
-                raise InputError(name, rule, ", ".join(allowed))
+                raise InputError(name, rule, allowed)
         if constraints != "each" and any(c.kind == "equal" for c in self.constraints):
             raise InputError("constraints", constraints, "'each'", shown=f"{constraints!r}, and one is an equality")
         if self.peaks and objective == "mean":
-            rule = f"has {self.peaks} rows, and objective is 'mean'; allowed: a measure of one number"
-            raise InputError("minimize", minimize, rule=rule, shown="")
+            state, allowed = f"has {self.peaks} rows, and objective is 'mean'", "a measure of one number"
+            raise InputError("minimize", minimize, allowed, state=state)
         if objective == "worst" and self.sign < 0.0:
-            allowed = "objective='mean', or minimize the negative of the measure"
-            rule = f"is given with objective 'worst'; allowed: {allowed}"
-            raise InputError("maximize", options["maximize"], rule=rule, shown="")
+            state, hint = "is given with objective='worst'", "minimize, with the negative of the measure"
+            raise InputError("maximize", options["maximize"], "given with objective='mean'", hint, state=state)
         self.groups = self._grouped(scenarios)
         self.scenarios = {name: settings for group in self.groups for name, settings in group.settings.items()}
         self.scenarios = {str(name): self.scenarios[str(name)] for name in scenarios_by_name(scenarios)}
@@ -123,10 +122,10 @@ class Scenarios(Problem):
         scenarios = scenarios_by_name(scenarios)
         is_mapping = isinstance(scenarios, Mapping) and all(isinstance(x, Mapping) for x in scenarios.values())
         if not is_mapping or not scenarios:
-            raise InputError("scenarios", scenarios, "name -> {parameter: value}, at least one")
+            raise InputError("scenarios", scenarios, "a mapping name -> {parameter: value} with at least one name")
         if not any(scenarios.values()):
             shown = f"{scenarios!r}, and sets nothing"
-            raise InputError("scenarios", scenarios, "at least a parameter or a system", shown=shown)
+            raise InputError("scenarios", scenarios, "must have at least a parameter or a system", shown=shown)
         systems: list[System] = []
         for key, settings in scenarios.items():
             system = settings.get(SYSTEM, self.system)
@@ -144,9 +143,12 @@ class Scenarios(Problem):
         for name, shape in self.space.shapes.items():
             if shapes.get(name) != shape:
                 has = "no such parameter" if name not in shapes else f"one of shape {list(shapes[name])}"
-                rule = f"has {has}: {name!r}; allowed: all design variables, {name!r} of shape {list(shape)}"
+                state, allowed = (
+                    f"has {has}: {name!r}",
+                    f"must have all design variables, {name!r} of shape {list(shape)}",
+                )
                 path, noun = ("scenarios", scenario, SYSTEM), f"system of scenario {scenario!r}"
-                raise InputError(path, system, rule=rule, noun=noun, shown="")
+                raise InputError(path, system, allowed, noun=noun, state=state)
         for measure in (self.objective, *(constraint.measure for constraint in self.constraints)):
             measure.check(system)
 
@@ -229,8 +231,9 @@ class Scenarios(Problem):
         if len(self.groups) > 1:
             raise InputError(
                 "scenarios",
-                allowed="motions_by_system(x), a Trajectory for each system",
+                allowed="must have one system",
                 state=f"have {len(self.groups)} systems",
+                hint="motions_by_system(x), which returns a Trajectory for each system",
             )
         return self.motions_by_system(x)[0]
 
@@ -243,7 +246,7 @@ class Scenarios(Problem):
         try:
             return [self._motion(simulation, designs, gradients) for simulation, designs in self.cases(X)]
         except CutCluster as error:  # its lanes count scenarios, so they are no indices of designs
-            raise InputError(error.path, error.value, rule=str(error), noun="scenarios:", shown="") from error
+            raise within("scenarios", error, *error.path) from error
 
     def cases(self, X: np.ndarray) -> list[tuple[Simulation, dict[str, Tensor]]]:
         return [(group.simulation, self._designs(X, list(group.settings.values()))) for group in self.groups]

@@ -72,7 +72,9 @@ def sharpen(
     if not isinstance(problem, Problem):
         raise InputError("problem", problem, "a Problem")
     if not _aggregates(problem):
-        raise InputError("problem", problem, "one in the objective or in a constraint", state="has no Aggregate")
+        raise InputError(
+            "problem", problem, "must have one in the objective or in a constraint", state="has no Aggregate"
+        )
     require_range("tolerance", tolerance, 0.0, 1.0)
     require_count("max_rounds", max_rounds, 1, 100)
     start, factor, rounds = options.pop("start", None), 1.0, []

@@ -24,7 +24,7 @@ import torch
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from torchmbd.errors import InputError, Path, nearest, unknown
+from torchmbd.errors import InputError, Path, unknown
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
@@ -102,12 +102,12 @@ class DesignSpace:
             if name not in parameters:
                 raise unknown("parameter", name, parameters, ("variables", name))
         if variables and len(set(variables)) < len(variables):
-            raise InputError("variables", list(variables), "each parameter once")
+            raise InputError("variables", list(variables), "must name each parameter once")
         self.variables = list(variables) if variables else [name for name, x in parameters.items() if x.requires_grad]
         if not self.variables:
             raise InputError(
                 "variables",
-                allowed="at least one design variable",
+                allowed="must have at least one design variable",
                 state="has no parameter that requires a gradient",
                 noun="the system",
             )
@@ -123,9 +123,9 @@ class DesignSpace:
         self.lower, self.upper = self._bounds(bounds)
         for name, low, high in zip(self.names, self.lower, self.upper, strict=True):
             if not low <= high:
-                rule = f"must be below upper = {shown(name, high)}, or equal to it"
+                allowed = f"below upper = {shown(name, high)}, or equal to it"
                 noun = f"{_NOUNS['lower']} of {name}"
-                raise InputError(("lower", name), low, rule=rule, noun=noun, shown=shown(name, low))
+                raise InputError(("lower", name), low, allowed, noun=noun, shown=shown(name, low))
         self.start = self.point("start", start, values)
         #: How far each variable may move until all entries that follow it are the same again [n]; 0: never.
         of_entries = np.array([periods.get(_parameter(x), 0.0) for x in self.entries])
@@ -179,8 +179,8 @@ class DesignSpace:
                 raise unknown(f"{what} of parameter", name, self.shapes, (argument, name))
             indices = self._indices(name)
             if not indices:
-                rule = "is given, but every entry follows others; allowed: none"
-                raise InputError((argument, name), numbers, rule=rule, noun=f"{what} of {name}", shown="")
+                state, allowed = "is given, but every entry follows others", "left out"
+                raise InputError((argument, name), numbers, allowed, noun=f"{what} of {name}", state=state)
             path, words = (argument, name), f"{what} of {name}"
             result[indices] = _numbers(path, words, numbers, len(indices), self._free(indices))
             check_parameter(f"{what} of", name, torch.from_numpy(result[indices]), path)
@@ -196,7 +196,9 @@ class DesignSpace:
         """Parameters by name [lanes, ...] of design vectors [lanes, n]."""
         free = np.asarray(X, dtype=float)
         if free.ndim != 2 or free.shape[1] != len(self.names):
-            raise InputError("designs", free, f"[lanes, {len(self.names)}]", state=f"have shape {free.shape}")
+            raise InputError(
+                "designs", free, f"must have shape [lanes, {len(self.names)}]", state=f"have shape {free.shape}"
+            )
         rows = torch.from_numpy(np.ascontiguousarray(free @ self.map.T) + self.offset)
         result, start = {}, 0
         for name, shape in self.shapes.items():
@@ -209,22 +211,22 @@ class DesignSpace:
 def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tuple[Links, np.ndarray]:
     """The numbers of the map from the free entries to all entries, and the offset [entries]."""
     if not isinstance(links, Mapping):
-        raise InputError("links", links, "entry -> {entry: factor, ...}")
+        raise InputError("links", links, "a mapping entry -> {entry: factor, ...}")
     free = {entry: k for k, entry in enumerate(entry for entry in entries if entry not in links)}
     known = set(entries)
     for linked, terms in links.items():
         if linked not in known:
-            rule = f"{linked} is not an entry of a design variable{nearest(linked, entries)}"
-            raise InputError(("links", linked), terms, rule=rule, noun="links:", shown="")
+            noun, state = f"links: {linked}", "is not an entry of a design variable"
+            raise InputError(("links", linked), terms, entries, noun=noun, state=state)
         if not isinstance(terms, Mapping):
             raise InputError(("links", linked), terms, "a mapping {entry: factor}", noun=f"link of {linked!r}")
         for source in terms:
             if source not in free and source != CONSTANT:
-                rule = f"{source} must be an entry that does not follow others{nearest(source, [*free, CONSTANT])}"
-                noun = f"link of {linked}:"
-                raise InputError(("links", linked, source), terms[source], rule=rule, noun=noun, shown="")
+                noun, state = f"link of {linked}: {source}", "is not an entry, or follows others"
+                names = [*free, CONSTANT]
+                raise InputError(("links", linked, source), terms[source], names, noun=noun, state=state)
     if not free:
-        raise InputError("links", rule="leave no entry free; allowed: at least one free entry")
+        raise InputError("links", allowed="must leave at least one free entry", state="leave no entry free")
     numbers: list[tuple[int, int, float]] = []
     offset = np.zeros(len(entries))
     for row, entry in enumerate(entries):
@@ -299,8 +301,8 @@ def _numbers(path: Path, noun: str, x: Any, size: int, which: str = "") -> np.nd
         raise InputError(path, x, "numbers", noun=noun) from error
     if values.ndim > 1 or (values.ndim == 1 and len(values) != size):
         count = len(values) if values.ndim == 1 else f"the shape {values.shape} of"
-        rule = f"has {count} values; allowed: {size}{which}, or one number for all"
-        raise InputError(path, x, rule=rule, noun=noun, shown="")
+        state, allowed = f"has {count} values", f"must have {size}{which}, or one number for all"
+        raise InputError(path, x, allowed, noun=noun, state=state)
     if np.isnan(values).any():
         raise InputError(path, x, "numbers", noun=noun)
     return np.broadcast_to(values, (size,)).copy()

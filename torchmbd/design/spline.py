@@ -347,7 +347,7 @@ def checked_window(window: tuple[float, float]) -> tuple[float, float]:
     except (TypeError, ValueError) as error:
         raise InputError("window", window, "two times (t0, t1) [s]") from error
     if not 0.0 <= first < last < float("inf"):
-        raise InputError("window", window, "0 <= t0 < t1 [s]")
+        raise InputError("window", window, "must satisfy 0 <= t0 < t1 [s]")
     return first, last
 
 

@@ -59,26 +59,27 @@ class Tradeoff:
         **options: Any,
     ):
         if not isinstance(minimize, Mapping):
-            raise InputError("minimize", minimize, "name -> measure, such as {'energy': Integral(...)}")
+            raise InputError("minimize", minimize, "a mapping name -> measure, such as {'energy': Integral(...)}")
         self.criteria = list(minimize)
         if len(self.criteria) < 2:
             raise InputError(
                 "minimize",
                 minimize,
-                "at least two criteria; for one criterion use Problem",
+                "must have at least two criteria",
                 state=f"has {self.criteria}",
+                hint="Problem, for one criterion",
             )
         for name, measure in minimize.items():
             if getattr(measure, "rows", 1) > 1:
-                rule, noun = f"has {measure.rows} rows; allowed: responses of one number", f"criterion {name!r}"
-                raise InputError(("minimize", name), measure, rule=rule, noun=noun, shown="")
+                state, noun = f"has {measure.rows} rows", f"criterion {name!r}"
+                raise InputError(("minimize", name), measure, "a response of one number", noun=noun, state=state)
         require_scalar_measures(minimize.values(), "tradeoff")
         first, *others = minimize.values()
         # All criteria but the first are constraints of the problem, with limit 0 and scale 1: their rows are the criteria.
         rows = [Constraint(measure, 0.0, scale=1.0) for measure in others]
         self.problem = Problem(system, duration, first, [*rows, *constraints_of(subject_to)], **options)
         if self.problem.equalities.size:
-            raise InputError("subject_to", subject_to, "inequalities", state="has equalities")
+            raise InputError("subject_to", subject_to, "must have inequalities alone", state="has equalities")
         self.names, self.start, self.period = self.problem.names, self.problem.start, self.problem.period
         self.lower, self.upper = self.problem.lower, self.problem.upper
 

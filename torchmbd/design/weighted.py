@@ -87,7 +87,7 @@ class WeightedSum(Total):
             raise InputError(
                 "normalize",
                 "initial",
-                "a sum in a Problem, or at_start(motion of the initial design)",
+                "used in a Problem, or after at_start(motion of the initial design)",
                 state="is 'initial', but a motion does not contain the initial design",
             )
         return [(w / float(s), m) for (w, m), s in zip(self.terms, self.normalize, strict=True)]

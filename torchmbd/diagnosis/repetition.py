@@ -165,7 +165,7 @@ class Repetition:
         for name, x in self.simulation.system.named_parameters():
             if not torch.equal(x.detach(), self.parameters[name]):
                 raise InputError(
-                    name, hint="simulate again", noun=f"parameter {name!r}", rule="has changed since the motion"
+                    name, hint="simulate again", noun=f"parameter {name!r}", state="has changed since the motion"
                 )
         # Times without gradients, and joints of any copy of the system.
         phases = [_plain(phase) for phase in self.simulation.phases]
@@ -205,7 +205,7 @@ def _with_other_modes(
         raise InputError(
             "start",
             start,
-            "modal coordinates of zero",
+            "must have modal coordinates of zero",
             state=f"is 'equilibrium', and bodies have {', '.join(map(repr, numbers))}",
         )
     return start if isinstance(start, str) and not numbers else numbers, designs

@@ -107,7 +107,7 @@ def _by_steps(
         raise InputError(
             "response",
             response,
-            allowed="numbers that do not change with the steps, such as mbd.Max(...) of a history",
+            allowed="must have numbers that do not change with the steps, such as mbd.Max(...) of a history",
             noun=f"response {response!r}",
             state=f"has numbers {list(value.shape)}, with finer steps {list(finer.shape)}",
         )
@@ -216,7 +216,7 @@ def _numbers(response: Callable[[Any], Tensor], motion: Any) -> Tensor:
     if not isinstance(x, Tensor) or not x.ndim or len(x) != motion.lanes:
         raise InputError(
             "response",
-            allowed="a tensor [lanes] or [lanes, rows]",
+            allowed="must return a tensor [lanes] or [lanes, rows]",
             state=f"returns {x!r}",
             noun=f"response {response!r}",
         )

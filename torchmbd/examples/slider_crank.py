@@ -79,7 +79,7 @@ def build(
     plies = [45.0 if i % 2 == 0 else -45.0 for i in range(layers)] if angles is None else list(angles)
     if len(plies) != layers:
         raise InputError(
-            "angles", angles, f"{layers}, one for each of layers={layers}", state=f"has {len(plies)} entries"
+            "angles", angles, f"must have {layers}, one for each of layers={layers}", state=f"has {len(plies)} entries"
         )
     laminate = Laminate(Ply(**CARBON, strength=strength), deg(plies), THICKNESS / layers)
     plate = mesh.rectangle(length=ROD, width=DEPTH, cells=(cells[0], cells[1]), kind=kind)

@@ -60,7 +60,9 @@ def _stations(path: str | Path) -> list[np.ndarray]:
         )
     rows = [(k, line.split()) for k, line in enumerate(lines[start + 1 :], start=start + 2) if line.strip()]
     if len(rows) < 13 * int(total):
-        raise InputError(file.name, allowed="13 for each", state=f"has {len(rows)} lines for {total} stations")
+        raise InputError(
+            file.name, allowed="must have 13 for each", state=f"has {len(rows)} lines for {total} stations"
+        )
     numbers: list[float] = []
     for row, (k, words) in enumerate(
         rows[: 13 * int(total)]
@@ -69,7 +71,7 @@ def _stations(path: str | Path) -> list[np.ndarray]:
         try:
             numbers += [float(word.lower().replace("d", "e")) for word in words[:count]]
         except ValueError as error:
-            raise wrong_entry(f"{file.name}, line {k}", f"{error}", f"{count} numbers") from None
+            raise wrong_entry(f"{file.name}, line {k}", f"{error}", f"must have {count} numbers") from None
         if len(words) < count:
-            raise wrong_entry(f"{file.name}, line {k}", f"{len(words)} numbers", f"{count}")
+            raise wrong_entry(f"{file.name}, line {k}", f"has {len(words)} numbers", f"must have {count}")
     return list(np.array(numbers).reshape(-1, 73))

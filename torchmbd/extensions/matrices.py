@@ -61,7 +61,9 @@ def read_matrix(path: str | Path, name: str | None = None) -> LabeledMatrix:
         names = [name]
     if len(names) != 1:
         raise InputError(
-            file.name, allowed="the name of one of them", state=f"has the matrices {list(matrices)}, name is {name!r}"
+            file.name,
+            allowed="read with the name of one of them",
+            state=f"has the matrices {list(matrices)}, name is {name!r}",
         )
     chosen = matrices[names[0]]
     if isinstance(chosen, InputError):
@@ -81,12 +83,12 @@ def _read(file: Path) -> dict[str, LabeledMatrix | InputError]:
         return dict(_op4(file))
     if suffix in (".dmig", ".pch", ".bdf", ".dat"):
         return _dmig(file)
-    raise InputError("path", suffix, ".mtx, .mm, .op4, .dmig, .pch, .bdf, .dat", noun=f"{file.name}: its ending")
+    raise InputError("path", suffix, "one of .mtx, .mm, .op4, .dmig, .pch, .bdf, .dat", noun=f"{file.name}: its ending")
 
 
 def _square(where: str, rows: int, columns: int) -> None:
     if rows != columns or not 0 < rows <= LARGEST:
-        raise wrong_entry(where, f"a matrix of {rows} x {columns}", f"square, at most {LARGEST} rows")
+        raise wrong_entry(where, f"a matrix of {rows} x {columns}", f"square, with at most {LARGEST} rows")
 
 
 def _matrix_market(file: Path) -> scipy.sparse.csr_array:
@@ -96,7 +98,7 @@ def _matrix_market(file: Path) -> scipy.sparse.csr_array:
     if field not in ("real", "integer") or symmetry not in ("general", "symmetric"):
         raise wrong_entry(file.name, f"the matrix is {symmetry}, {field}", "real, general or symmetric")
     if 2 * entries > file.stat().st_size:
-        raise wrong_entry(file.name, f"{entries} entries in {file.stat().st_size} bytes", "as many as it has")
+        raise wrong_entry(file.name, f"{entries} entries in {file.stat().st_size} bytes", "must have all of them")
     if layout == "array":
         return scipy.sparse.csr_array(scipy.io.mmread(file), dtype=np.float64)
     with file.open(encoding="utf-8", errors="replace") as handle:
@@ -104,7 +106,9 @@ def _matrix_market(file: Path) -> scipy.sparse.csr_array:
         next(lines)  # rows, columns, entries
         table = np.loadtxt(lines, ndmin=2)
     if table.shape != (entries, 3):
-        raise wrong_entry(file.name, f"{table.shape[0]} lines of {table.shape[1]} numbers", f"{entries} of 3")
+        raise wrong_entry(
+            file.name, f"{table.shape[0]} lines of {table.shape[1]} numbers", f"must have {entries} lines of 3"
+        )
     wrong = ((table[:, :2] < 1) | (table[:, :2] > rows) | (table[:, :2] % 1 != 0)).any(1)
     if wrong.any():
         at = int(wrong.argmax())
@@ -157,11 +161,13 @@ def _abaqus(file: Path) -> LabeledMatrix:
                 raise wrong_entry(
                     f"{file.name}, line {number}",
                     f"{line.strip()[:60]!r}",
-                    "node, dof, node, dof, value, or row, column, value",
+                    "must have node, dof, node, dof, value, or row, column, value",
                 )
     if bool(labelled) == bool(plain):
         raise InputError(
-            file.name, allowed="one kind of lines", state=f"has {('two kinds of lines' if plain else 'no entries')}"
+            file.name,
+            allowed="must have one kind of lines",
+            state=f"has {('two kinds of lines' if plain else 'no entries')}",
         )
     if labelled:
         return _assembled(file.name, labelled)
@@ -191,7 +197,10 @@ def _op4(file: Path) -> Iterator[tuple[str, LabeledMatrix | InputError]]:
             try:
                 if kind not in (1, 2):
                     raise InputError(
-                        (str(where), name), allowed="1 or 2, real", noun=f"{where}: {name}", state=f"has type {kind}"
+                        (str(where), name),
+                        allowed="must have type 1 or 2, real",
+                        noun=f"{where}: {name}",
+                        state=f"has type {kind}",
                     )
                 _square(where, abs(rows), columns)
             except InputError as error:
@@ -248,7 +257,7 @@ def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: 
     if column <= size:
         raise InputError(
             (name,),
-            allowed=f"all columns, and then the column number {size + 1}",
+            allowed=f"must have all columns, and then the column number {size + 1}",
             state=f"ends in column {column} of {size}",
         )
     return scipy.sparse.csr_array((np.array(values), (np.array(i, int), np.array(j, int))), shape=(size, size))

@@ -67,7 +67,7 @@ def openmdao_component(
     if gradients not in _GRADIENTS:
         raise InputError("gradients", gradients, f"{' or '.join(map(repr, _GRADIENTS))}")
     if not isinstance(responses, Mapping) or not responses:
-        raise InputError("responses", responses, "name -> measure, at least one")
+        raise InputError("responses", responses, "a mapping name -> measure with at least one name")
     for name, measure in responses.items():
         if not isinstance(measure, Measure):
             raise InputError(name, measure, "a measure, such as mbd.Max(...)", noun=f"response {name!r}")
@@ -78,9 +78,7 @@ def openmdao_component(
     names = list(variables) if variables else [name for name, x in parameters.items() if x.requires_grad]
     if not names:
         raise InputError(
-            "system",
-            allowed="at least one variable",
-            state="has no parameter that requires a gradient",
+            "system", allowed="must have at least one variable", state="has no parameter that requires a gradient"
         )
     simulation = Simulation(system, duration, **options)
 

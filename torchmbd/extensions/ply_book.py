@@ -76,9 +76,10 @@ def _rows(bodies: list[Any]) -> tuple[list[Row], dict[str, tuple]]:
             if laminate.field is not None or laminate.angles.dim() > 1:
                 raise InputError(
                     (body.name, zone),
-                    rule="vary over the part or between designs: must be one stack",
                     hint="mbd.viz.save_mesh, which draws the fibers",
                     noun=f"plies of {body.name}.{zone}",
+                    allowed="one stack",
+                    state="vary over the part or between designs",
                 )
             bottoms = laminate.faces.detach()[:, 0].tolist()
             angles, thickness = (x.detach().tolist() for x in (laminate.layer_angles, laminate.layer_thickness))

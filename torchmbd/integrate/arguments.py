@@ -14,7 +14,7 @@ import torch
 import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
 
-from torchmbd.errors import InputError, nearest, one_of, unknown
+from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.integrate.backend import BACKENDS
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.phase import Phase
@@ -66,7 +66,7 @@ def check_gradients(gradients: Any, integrator: Integrator) -> None:
     if not integrator.adjoint:
         methods = " or ".join(repr(name) for name, entry in INTEGRATORS.items() if entry.adjoint)
         shown = f"'reverse', but method is {integrator.name!r}"
-        raise InputError("gradients", gradients, f"method {methods}, or 'forward'", shown=shown)
+        raise InputError("gradients", gradients, "'forward'", f"method = {methods}", shown=shown)
 
 
 def seconds_of(duration: Any) -> Any:
@@ -84,8 +84,8 @@ def duration_is_differentiated(duration: Any, gradients: str, integrator: Integr
         raise InputError(
             "duration",
             duration,
-            f"method {methods} with gradients='auto' or 'reverse', which have both modes, or duration.detach()",
             state=f"is being differentiated, but {obstacle}",
+            hint=f"method {methods} with gradients='auto' or 'reverse', which have both modes, or duration.detach()",
         )
     if duration.dtype != torch.float64:
         raise InputError("duration", duration, "torch.float64", shown=str(duration.dtype))
@@ -101,9 +101,9 @@ def check_phase_times(phases: Any, gradients: str, integrator: Integrator) -> No
             key, x = ("until", phase.until) if phase.lasting is None else ("lasting", phase.lasting)
             raise InputError(
                 (str(phase.name or number), key),
-                allowed=f"gradients='reverse' or 'auto' with a one-step method, or {key}.detach()",
                 noun=f"{key} of phase {phase.name or number!r}",
                 state=f"= {x!r} is being differentiated, but forward tangents do not support this",
+                hint=f"gradients='reverse' or 'auto' with a one-step method, or {key}.detach()",
             )
 
 
@@ -113,9 +113,9 @@ def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
         if not in_transform(x) and forward_ad.unpack_dual(x).tangent is not None:
             raise InputError(
                 (name,),
-                allowed="torch.func.jvp, or method 'generalized_alpha' without phases with gradients='auto' or 'reverse'",
                 noun=repr(name),
                 state="is a dual number of torch.autograd.forward_ad, which this method and these phases do not support",
+                hint="torch.func.jvp, or method 'generalized_alpha' without phases with gradients='auto' or 'reverse'",
             )
 
 
@@ -123,10 +123,14 @@ def check_backend(backend: Any) -> None:
     """InputError for a backend that does not exist, or is not installed."""
     names = ["auto", *BACKENDS]
     if isinstance(backend, str) and (absence := BACKENDS.absence(backend)):
-        raise InputError("backend", backend, rule=absence, hint=" or ".join(map(repr, names)))
+        raise InputError(
+            "backend",
+            backend,
+            hint=" or ".join(map(repr, names)),
+            state=f"= {backend!r} cannot be used, because {absence}",
+        )
     if isinstance(backend, str) and backend not in names and (missing := BACKENDS.missing(backend)):
-        rule = f"does not exist{nearest(backend, names)}; {missing}"
-        raise InputError("backend", backend, rule=rule, noun=f"backend {backend!r}", shown="")
+        raise InputError("backend", backend, names, state=f"= {backend!r} does not exist, or {missing}")
     one_of("backend", backend, names)
 
 
@@ -147,9 +151,9 @@ def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
         raise InputError(
             "start",
             start,
-            "gradients='reverse' or 'auto' of a one-step method, or Parameters given to the bodies (bent, "
-            "moving, position)",
             state="requires a gradient, but forward mode does not compute gradients with respect to the start",
+            hint="gradients='reverse' or 'auto' of a one-step method, or Parameters given to the bodies (bent, "
+            "moving, position)",
         )
 
 
@@ -166,7 +170,7 @@ def checked_designs(system: System, designs: Any) -> dict[str, Tensor]:
     """Designs with a lane axis; InputError names those that are not finite float64 numbers of the system's parameters."""
     parameters = dict(system.named_parameters())
     if not isinstance(designs, (Mapping, type(None))):
-        raise InputError("designs", designs, "parameter name -> tensor [lanes, ...]")
+        raise InputError("designs", designs, "a mapping parameter name -> tensor [lanes, ...]")
     check_dtypes(system)
     for name, x in parameters.items():
         if name in (designs or {}):

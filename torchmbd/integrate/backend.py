@@ -107,7 +107,7 @@ def backend_of(dynamics: Dynamics) -> Backend:
         raise InputError(
             "backend",
             dynamics.backend,
-            "the backends that are installed where steps are made",
+            "made by a backend that is installed",
             noun="steps",
             state=f"were made by the backend {dynamics.backend!r}, and {BACKENDS.missing(dynamics.backend)}",
         )

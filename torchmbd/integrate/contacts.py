@@ -202,9 +202,7 @@ def _short(label: str, closed: Tensor, counts: Tensor, h: float) -> Contacts:
     length = ends - begins
     short = (begins >= 0) & (length < STEPS) & (counts[begins.clamp_min(0)] | counts[ends])
     for i, n in zip(begins[short][:1].tolist(), length[short][:1].tolist(), strict=True):
-        message = (
-            f"{label} from t = {i * h:.6g} s on lasts {n} steps of {h:.3g} s; allowed: {STEPS} steps or more in contact"
-        )
+        message = f"{label} from t = {i * h:.6g} s on lasts {n} steps of {h:.3g} s: must last {STEPS} steps or more"
         return [(i, UnresolvedContact(message, 2 ** math.ceil(math.log2(STEPS / n)), False))]
     return []
 
@@ -219,9 +217,7 @@ def _cut_off(label: str, gap: Tensor, rate: Tensor, counts: Tensor, h: float) ->
     closing = torch.stack([rate[i], rate[i + 1], (gap[i + 1] - gap[i]) / h]).min()
     if not bool(counts[i] & (rate[-1] > 0.5 * closing)):
         return []
-    message = (
-        f"{label} from t = {i * h:.6g} s on stops within {n} steps of {h:.3g} s; allowed: {STEPS} steps in contact"
-    )
+    message = f"{label} from t = {i * h:.6g} s on stops within {n} steps of {h:.3g} s: must last {STEPS} steps"
     return [(i, UnresolvedContact(message, 2 ** math.ceil(math.log2(STEPS / 3.0 / n)), False))]
 
 

@@ -78,7 +78,7 @@ class ForwardIntegration(IntegratedMotion):
             raise InputError(
                 "gradients",
                 "none",
-                "'auto' or 'forward'",
+                "must have gradients='auto' or 'forward'",
                 state="is being differentiated",
                 noun="a motion with gradients='none'",
             )

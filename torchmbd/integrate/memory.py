@@ -57,22 +57,21 @@ def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, ad
     needed, free = motion_bytes(system, lanes, steps, tangents, adjoint), available_memory()
     if needed <= free:
         return
-    sizes = f"about {bytes_text(needed)} of memory, {bytes_text(free)} are available"
+    sizes = f"about {bytes_text(needed)} of memory, of which {bytes_text(free)} are available"
     if motion_bytes(system, 1, steps, tangents, adjoint) <= free:
         most = int((free - _shared(system, steps)) / lane_bytes(system, steps, tangents, adjoint))
         raise InputError(
             "designs",
-            allowed=f"up to {rounded_down(most)} lanes at once",
-            state=f"have {lanes} lanes, of {steps} steps: they take {sizes}",
+            allowed=f"must have up to {rounded_down(most)} lanes at once",
+            state=f"have {lanes} lanes of {steps} steps, which take {sizes}",
         )
     fixed, each = (lane_bytes(system, k, tangents, adjoint) for k in (0, 1))
     most = int((free - _shared(system, steps) - fixed) / (each - fixed))
     if most < 1:
-        shown = f"too large: one design takes {sizes}"
-        raise InputError("system", system, "smaller meshes, fewer modes or variables", shown=shown)
-    shown = f"{steps}: the motion of one design takes {sizes}"
-    allowed = f"up to {rounded_down(most)} states; checkpoint=100 keeps every hundredth only"
-    raise InputError("steps", steps, allowed, shown=shown)
+        state = f"is too large, because one design takes {sizes}"
+        raise InputError("system", system, "must have smaller meshes, or fewer modes or variables", state=state)
+    state, hint = f"= {steps} of one design take {sizes}", "checkpoint=100, which keeps every hundredth state only"
+    raise InputError("steps", steps, f"up to {rounded_down(most)}", hint, state=state)
 
 
 def lanes_at_once(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> int:

@@ -85,9 +85,10 @@ class Motion(torch.autograd.Function):
 def _refuse() -> NoReturn:
     raise InputError(
         "motion",
-        allowed="first derivatives (second ones by differences of gradients)",
+        allowed="differentiated once",
         noun="a motion",
         state="is being differentiated twice",
+        hint="differences of gradients, for second derivatives",
     )
 
 

@@ -24,7 +24,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
-from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.hht_alpha import HHTAlpha
 from torchmbd.integrate.integrator import Integrator
@@ -50,14 +50,13 @@ def integrator_of(method: Any, options: Mapping[str, Any], argument_names: Colle
     argument_names  the other arguments of the function that takes the options, of which one may be meant
     """
     if isinstance(method, str) and method in REFUSED:
-        rule = f"{REFUSED[method]}; allowed: any other"
-        raise InputError("method", method, rule=rule, noun=f"method {method!r}", shown="")
+        state, allowed = REFUSED[method], "another method"
+        raise InputError("method", method, allowed, noun=f"method {method!r}", state=state)
     if not isinstance(method, str) or method not in INTEGRATORS:
         raise unknown("method", method, METHODS)
     allowed = INTEGRATORS[method].option_types()
     for name in options:
         if name not in allowed:
-            names = nearest(name, [*allowed, *argument_names])
-            rule = f"for method {method!r} the option {name!r} does not exist{names}"
-            raise InputError(name, options[name], rule=rule)
+            state = f"= {options[name]!r} is not an option of method {method!r}"
+            raise InputError(name, options[name], [*allowed, *argument_names], state=state)
     return replace(INTEGRATORS[method], **options)

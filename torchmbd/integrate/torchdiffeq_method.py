@@ -42,13 +42,13 @@ class Torchdiffeq(Integrator):
         for key in ("rtol", "atol"):
             x = getattr(self, key)
             if not isinstance(x, (int, float)) or isinstance(x, bool) or not 0.0 < x < 1.0:
-                raise InputError(key, x, "positive, below 1")
+                raise InputError(key, x, "positive and below 1")
         if self.options is not None and not isinstance(self.options, dict):
-            raise InputError("options", self.options, "name -> value, options of torchdiffeq")
+            raise InputError("options", self.options, "a mapping name -> value, options of torchdiffeq")
         allowed = options_of(self.name)
         for key, x in (self.options or {}).items():
             if key not in allowed:
-                raise unknown(f"options of method {self.name!r}: the option", key, allowed, ("options", key))
+                raise unknown(f"options of method {self.name!r}: option", key, allowed, ("options", key))
             good, words = allowed[key]
             if not good(x):
                 raise InputError(("options", key), x, words, noun=f"options of method {self.name!r}: {key}")

@@ -32,10 +32,7 @@ def variable_names(
     names = [name for name, x in parameters.items() if x.requires_grad or is_differentiated(designs.get(name, x))]
     if not names and not by_times:
         raise InputError(
-            "gradients",
-            gradients,
-            rule=f"is {gradients!r}, but no parameter of the system requires a gradient",
-            shown="",
+            "gradients", gradients, "'auto' or 'none', because no parameter of the system requires a gradient"
         )
     return names
 
@@ -46,9 +43,10 @@ def refuse_other_designs(names: Sequence[str], designs: Mapping[str, Tensor]) ->
         if name not in names and is_differentiated(x):
             raise InputError(
                 name,
-                allowed="variables that contain this name, or the detached tensor x.detach()",
+                allowed="one of the variables",
                 noun=f"design {name!r}",
                 state=f"is being differentiated, but variables is {list(names)}",
+                hint=f"variables = [..., {name!r}], or the detached tensor x.detach()",
             )
 
 

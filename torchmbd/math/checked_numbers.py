@@ -95,7 +95,7 @@ def list_of(name: str | Path, value: Any, kinds: type | tuple[type, ...], allowe
         raise InputError(name, value, f"a list of {allowed}")
     for x in value:
         if not isinstance(x, kinds):
-            raise InputError(name, allowed=allowed, state=f"has {x!r}")
+            raise InputError(name, allowed=f"a list of {allowed}", state=f"has {x!r}")
     return list(value)
 
 

@@ -63,9 +63,9 @@ def refuse_batched_by_grad(cotangents: Iterable[Tensor | None]) -> None:
             raise InputError(
                 "is_grads_batched",
                 True,
-                "torch.vmap over torch.autograd.grad, or torch.func.jacrev",
                 noun="torch.autograd.grad of a motion",
                 state="has is_grads_batched=True, for which torch ignores the rules of its operations",
+                hint="torch.vmap over torch.autograd.grad, or torch.func.jacrev",
             ) from error
 
 
@@ -106,7 +106,7 @@ def refuse_derivatives(name: str | Path, x: Tensor, instead: str) -> None:
     """InputError if x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
     if is_differentiated(x):
         raise InputError(
-            name, allowed=f"x.detach(), and {instead}", state="is being differentiated, which would be lost here"
+            name, state="is being differentiated, which would be lost here", hint=f"x.detach(), and {instead}"
         )
 
 

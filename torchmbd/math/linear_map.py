@@ -97,7 +97,10 @@ class Sums:
     def __init__(self, start: Int[Tensor, " rows"], terms: Int[Tensor, " terms"], size: int) -> None:
         if max(len(terms), size) >= 2**31:
             raise InputError(
-                "terms", allowed="fewer than 2^31", noun="a matrix", state=f"is a sum of {len(terms)} of {size} numbers"
+                "terms",
+                allowed="must have fewer than 2^31",
+                noun="a matrix",
+                state=f"is a sum of {len(terms)} of {size} numbers",
             )
         self.start, self.terms, self.size = start.to(torch.int32), terms.to(torch.int32), size
 

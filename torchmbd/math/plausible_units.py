@@ -65,8 +65,8 @@ def check_angles(name: str, values: Iterable[float], outer: str = "", path: Path
     for k, value in enumerate(values):
         if not abs(value) <= WHOLE_TURN:
             hint = f"mbd.deg({value!r}), if it is in degrees" if abs(value) > WHOLE_TURN else ""
-            noun, rule = f"{outer}{name}[{k}]", "must lie in the range -2 pi to 2 pi"
-            raise InputError((*(path or (name,)), k), value, hint=hint, rule=rule, noun=noun, shown=f"{value!r} rad")
+            noun, allowed = f"{outer}{name}[{k}]", "must lie in the range -2 pi to 2 pi"
+            raise InputError((*(path or (name,)), k), value, allowed, hint, noun=noun, shown=f"{value!r} rad")
 
 
 def warn_degrees(name: str, value: float) -> None:
@@ -119,7 +119,7 @@ def check_parameter(what: str, name: str, values: Tensor, path: Path = ()) -> No
 def warn_unusual(name: str, value: float, unit: str, usual: tuple[float, float]) -> None:
     """Warn with argument, value and usual range if a number is outside of this range."""
     if value < 0.0 < usual[0]:
-        warn(f"{name} is {value:.6g} {unit}; allowed: positive; usual: {usual[0]:g} to {usual[1]:g} {unit}".rstrip())
+        warn(f"{name} = {value:.6g} {unit}: must be positive, usually {usual[0]:g} to {usual[1]:g} {unit}".rstrip())
     elif not usual[0] <= value <= usual[1]:
         values = f"at least {usual[0]:g} {unit}" if usual[1] == math.inf else f"{usual[0]:g} to {usual[1]:g} {unit}"
         number = f"{value:.6g} {unit}".rstrip()

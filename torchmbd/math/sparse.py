@@ -55,7 +55,7 @@ class Pattern:
         if len(i) != len(j):
             raise InputError(
                 "cols",
-                allowed="the same number of both",
+                allowed="must have the same number of both",
                 state=f"have {len(i)} and {len(j)} entries",
                 noun="rows and cols",
             )
@@ -65,8 +65,10 @@ class Pattern:
             entry = (int(i[k]), int(j[k]))
             raise InputError(
                 ("rows", k),
-                rule="repeats or precedes the entry before it; use Pattern.gather to sort",
                 noun=f"coordinate {k} {entry}",
+                allowed="after the entry before it",
+                hint="Pattern.gather, which sorts",
+                state="repeats or precedes the entry before it",
             )
         self._set(torch.nn.functional.pad(torch.bincount(i, minlength=size).cumsum(0), (1, 0)), j, size)
         mirror = self.transposed
@@ -75,16 +77,16 @@ class Pattern:
             k = int(missing.nonzero()[0])
             raise InputError(
                 ("rows", k),
-                rule="does not have a counterpart in the other triangle",
                 hint="store both triangles of the matrix",
                 noun=f"entry ({int(i[k])}, {int(j[k])})",
+                state="does not have a counterpart in the other triangle",
             )
 
     def _set(self, start: Tensor, column: Tensor, size: int) -> None:
         if max(len(column), size) >= 2**31:
             raise InputError(
                 "rows",
-                allowed="fewer than 2^31 of both",
+                allowed="must have fewer than 2^31 of both",
                 noun="a matrix",
                 state=f"has {size} rows and {len(column)} entries",
             )
@@ -150,7 +152,7 @@ class Pattern:
         row_of = torch.full((self.size,), -1, dtype=torch.long)
         row_of[kept] = torch.arange(len(kept))
         if int((row_of >= 0).sum()) != len(kept):
-            raise InputError("keep", allowed="each row at most once", state="names a row more than once")
+            raise InputError("keep", allowed="must name each row at most once", state="names a row more than once")
         column = row_of.to(torch.int32)[self.column]
         counted = (column >= 0) & torch.repeat_interleave(row_of >= 0, self.start.diff())
         positions = counted.nonzero().squeeze(-1)
@@ -184,7 +186,9 @@ class SparseMatrix:
     def __post_init__(self) -> None:
         if self.values.shape[-1:] != (self.pattern.nnz,):
             raise InputError(
-                "values", allowed=f"[..., {self.pattern.nnz}]", state=f"have shape {tuple(self.values.shape)}"
+                "values",
+                allowed=f"must have shape [..., {self.pattern.nnz}]",
+                state=f"have shape {tuple(self.values.shape)}",
             )
 
     @property
@@ -214,7 +218,7 @@ class SparseMatrix:
         if other.shape[-2] != self.pattern.size:
             raise InputError(
                 "other",
-                allowed=f"[..., {self.pattern.size}, k]",
+                allowed=f"must have shape [..., {self.pattern.size}, k]",
                 state=f"has shape {tuple(other.shape)}",
                 noun="right factor",
             )

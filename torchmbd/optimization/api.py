@@ -132,7 +132,7 @@ def checked_box(problem: Box, start: np.ndarray | None = None) -> tuple[np.ndarr
     names = checked_names(problem, size)
     x = as_numbers("start", problem.start if start is None else start).reshape(-1)
     if x.size != size:
-        raise InputError("start", rule=f"has {x.size} entries, allowed: {size} ({', '.join(names)})")
+        raise InputError("start", allowed=f"must have {size} ({', '.join(names)})", state=f"has {x.size} entries")
     lower, upper = (
         np.array(np.broadcast_to(np.asarray(b, dtype=float), x.shape)) for b in (problem.lower, problem.upper)
     )
@@ -141,9 +141,9 @@ def checked_box(problem: Box, start: np.ndarray | None = None) -> tuple[np.ndarr
             raise InputError(
                 ("lower", name),
                 low,
-                rule=f"are crossed: lower = {low:g} must not exceed upper = {high:g}",
-                shown="",
                 noun=f"bounds of {name}",
+                allowed="must have lower <= upper",
+                state=f"are crossed, with lower = {low:g} and upper = {high:g}",
             )
     require_inside("start", names, lower, x, upper)
     return x, lower, upper

@@ -20,7 +20,7 @@ def wrong_count(evaluations: Sized, designs: Sized) -> InputError:
     """Build the error for a problem that does not return an evaluation for each design."""
     return InputError(
         ("problem", "evaluate"),
-        allowed="one for each",
+        allowed="must return one for each",
         state=f"returned {len(evaluations)} evaluations for {len(designs)} designs",
     )
 

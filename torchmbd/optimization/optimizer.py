@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.optimization.failures import are_many, failures_text
 from torchmbd.summary import Summary, few
 
@@ -330,11 +330,10 @@ def require_few(argument: str, value: Any, noun: str, size: int, remedy: str) ->
         raise InputError(
             argument,
             value,
-            rule=f"must not have more than {MOST_DENSE:,} design variables, because it stores n x n matrices; the "
-            f"problem has {size:,}",
+            f"must have at most {MOST_DENSE:,}, because it stores n x n matrices",
             hint=remedy,
-            noun=f"{noun}:",
-            shown="",
+            noun=noun,
+            state=f"has {size:,} design variables",
         )
 
 
@@ -356,23 +355,22 @@ def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = (
     allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
     for option in options:
         if option not in allowed:
-            names = nearest(option, [*allowed, *arguments])
-            rule = f"for method {name!r} the option {option!r} does not exist{names}"
-            raise InputError(option, options[option], rule=rule)
+            state = f"= {options[option]!r} is not an option of method {name!r}"
+            raise InputError(option, options[option], [*allowed, *arguments], state=state)
     return method
 
 
 def require_range(name: str, value: float, low: float, high: float) -> float:
     """Return `value` if it is a number in [low, high]; InputError otherwise."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= value <= high:
-        raise InputError(name, value, rule=f"must lie in [{low:g}, {high:g}]")
+        raise InputError(name, value, f"must lie in [{low:g}, {high:g}]")
     return value
 
 
 def require_count(name: str, value: int, low: int, high: int) -> int:
     """Return `value` if it is an integer in [low, high]; InputError otherwise."""
     if not isinstance(value, numbers.Integral):
-        raise InputError(name, value, rule="must be an integer")
+        raise InputError(name, value, "an integer")
     require_range(name, value, low, high)
     return value
 
@@ -392,8 +390,8 @@ def require_inside(
     """
     for name, low, value, high in zip(names, lower, x, upper, strict=True):
         if not low <= value <= high:
-            rule = f"must lie between {shown(name, low)} and {shown(name, high)}"
-            raise InputError((what, name), value, rule=rule, noun=f"{what} of {name}", shown=shown(name, value))
+            allowed = f"must lie between {shown(name, low)} and {shown(name, high)}"
+            raise InputError((what, name), value, allowed, noun=f"{what} of {name}", shown=shown(name, value))
 
 
 def require_problem(problem: Any) -> None:
@@ -423,5 +421,5 @@ def checked_names(problem: Box, size: int) -> list[str]:
     """Return the problem's variable names, checked for their number."""
     names: Sequence[str] = list(problem.names)
     if len(names) != size:
-        raise InputError("names", rule=f"has {len(names)} entries for {size} variables")
+        raise InputError("names", allowed=f"must have {size}, one for each variable", state=f"has {len(names)} entries")
     return list(names)

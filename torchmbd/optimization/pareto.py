@@ -166,12 +166,7 @@ def pareto_front(
     require_problem(problem)
     require_method_of_size(method, len(problem.names))
     if len(getattr(problem, "criteria", ())) < 2:
-        raise InputError(
-            "problem",
-            problem,
-            rule=f"is {problem!r}; a front needs at least two criteria, as in mbd.Tradeoff(...)",
-            shown="",
-        )
+        raise InputError("problem", problem, "must have at least two criteria for a front", hint="mbd.Tradeoff(...)")
     box = checked_box(problem)
     points = np.array([checked_box(problem, x)[0] for x in recipe(starts, box[0]).points(problem)])
 
@@ -230,12 +225,12 @@ def _units(searches: ScalarizedSearches, starts: np.ndarray, names: list[str]) -
     """Return the units of the criteria [k] by their values and changes at a start, a constant part without influence."""
     known = [criteria for criteria in searches.cache.evaluate(starts, True) if criteria.ok]
     if not known:
-        raise InputError("starts", rule="must contain at least one design that can be evaluated")
+        raise InputError("starts", allowed="must contain at least one design that can be evaluated")
     values, slopes = known[0].values, known[0].gradients
     if values.shape != (len(names),):
         raise InputError(
             ("problem", "evaluate"),
-            allowed=f"shape {(len(names),)}, one for each of {', '.join(names)}",
+            allowed=f"must return criteria of shape {(len(names),)}, one for each of {', '.join(names)}",
             state=f"returned criteria of shape {values.shape}",
         )
     size = variable_scale(searches.start, searches.lower, searches.upper)
@@ -255,9 +250,9 @@ def _anchors(
         if result is None:
             raise InputError(
                 ("minimize", name),
-                rule="has no feasible design from these starts",
                 hint="more starts, or weaker constraints",
                 noun=f"criterion {name!r}",
+                state="has no feasible design from these starts",
             )
     anchors = [result for result in results if result is not None]
     F = np.array([searches.cache.evaluate(anchor.x[None], False)[0].values for anchor in anchors])

@@ -56,11 +56,14 @@ class RobustProblem:
         if not isinstance(kind, str) or kind not in KINDS:
             raise unknown("kind", kind, KINDS)
         if len(getattr(problem, "equalities", ())):
-            rule = "has equalities, which the designs within a tolerance cannot all satisfy; allowed: inequalities"
-            raise InputError("problem", problem, rule=rule, shown="")
+            state, allowed = (
+                "has equalities, which the designs within a tolerance cannot all satisfy",
+                "must have inequalities alone",
+            )
+            raise InputError("problem", problem, allowed, state=state)
         if kind == "expected" and getattr(problem, "has_extra_variable", False):
-            rule = "is 'expected', but the objective is the largest of several rows; allowed: 'worst'"
-            raise InputError("kind", kind, rule=rule, shown="")
+            state, allowed = "is 'expected', but the objective is the largest of several rows", "'worst'"
+            raise InputError("kind", kind, allowed, state=state)
         start, lower, upper = checked_box(problem)
         self.period = np.asarray(getattr(problem, "period", np.zeros(start.size)), dtype=float)
         d = as_numbers("tolerance", tolerance)
@@ -70,8 +73,8 @@ class RobustProblem:
         d = np.array(np.broadcast_to(d, start.shape))
         for name, tolerated, low, high in zip(problem.names, d, lower, upper, strict=True):
             if 0.0 < high - low < 2.0 * tolerated:  # a constant may have a tolerance
-                rule, noun = "must be at most half the distance of the bounds", f"tolerance {tolerated:g} of {name}"
-                raise InputError(("tolerance", name), float(tolerated), rule=rule, shown="", noun=noun)
+                allowed, noun = "at most half the distance of the bounds", f"tolerance of {name}"
+                raise InputError(("tolerance", name), float(tolerated), allowed, noun=noun, shown=f"{tolerated:g}")
         if getattr(problem, "has_extra_variable", False):
             d[-1] = 0.0  # it is no design variable
         inside = np.where(self.period > 0.0, 0.0, d)
@@ -95,8 +98,8 @@ class RobustProblem:
         around = self.problem.evaluate(x + self.shifts, True)
         failed = next((e.status for e in around if not e.ok), None)
         if failed is not None:
-            rule = f": its worst case is {failed}; allowed: designs that can be evaluated within tolerances"
-            raise InputError("start", rule=rule)
+            state, allowed = f"has the worst case {failed}", "a design that can be evaluated within tolerances"
+            raise InputError("start", allowed=allowed, state=state)
         return np.array([e.objective for e in around]), np.array([e.objective_gradient for e in around])
 
     @property
@@ -213,11 +216,8 @@ def _corners(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners [2^n, n] of the box; they have equal rights."""
     moved = np.flatnonzero(d)
     if 2**moved.size > MAX_CORNERS:
-        rule = (
-            f": the tolerances of {moved.size} variables have {2**moved.size} combinations of lower and upper limits; "
-            f"must be at most {MAX_CORNERS}"
-        )
-        raise InputError("tolerance", rule=rule)
+        state = f"of {moved.size} variables has {2**moved.size} combinations of lower and upper limits"
+        raise InputError("tolerance", allowed=f"must have at most {MAX_CORNERS}", state=state)
     corners = np.zeros((2**moved.size, d.size))
     corners[:, moved] = np.array(list(product((-1.0, 1.0), repeat=moved.size))) * d[moved]
     return corners, np.ones(len(corners))

@@ -123,10 +123,10 @@ class Search:
             raise InputError(
                 "method",
                 method,
-                rule=f"takes inequality constraints only, but constraints {self.equalities.tolist()} are equalities: use "
-                "method='slsqp', or give each as two opposite inequalities with a tolerance",
-                shown="",
                 noun=f"method = {method!r}",
+                allowed="used with inequalities alone",
+                state=f"does not take constraints {self.equalities.tolist()}, which are equalities",
+                hint="method='slsqp', or two opposite inequalities with a tolerance for each",
             )
 
     def physical(self, y: np.ndarray) -> np.ndarray:
@@ -330,14 +330,16 @@ def checked(evaluation: Evaluation, size: int, gradients: bool) -> Evaluation:
     if gradients:
         if evaluation.objective_gradient is None or (c.size and evaluation.constraint_gradients is None):
             raise InputError(
-                ("problem", "evaluate"), allowed="gradients, because gradients=True", state="returned no gradients"
+                ("problem", "evaluate"),
+                allowed="must return gradients, because gradients=True",
+                state="returned no gradients",
             )
         df = np.asarray(evaluation.objective_gradient, dtype=float)
         dc = np.zeros((0, size)) if not c.size else np.asarray(evaluation.constraint_gradients, dtype=float)
         if df.shape != (size,) or dc.shape != (c.size, size):
             raise InputError(
                 ("problem", "evaluate"),
-                allowed=f"{(size,)} and {(c.size, size)}",
+                allowed=f"must return shapes {(size,)} and {(c.size, size)}",
                 state=f"returned gradients of shape {df.shape} and {dc.shape}",
             )
     named = {"objective": evaluation.objective, "constraints": c, "objective gradient": df, "constraint gradients": dc}

@@ -226,9 +226,9 @@ class MotionData(Summary):
             raise InputError(
                 "gradients",
                 "reverse",
-                "simulate(..., gradients='forward')",
                 noun=f"d{name}_db:",
                 state="the gradients of this motion come from the adjoint, which does not compute sensitivities of coordinates",
+                hint="simulate(..., gradients='forward')",
             )
         return self.sensitivities.tangents(name, rows)
 

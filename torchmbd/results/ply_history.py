@@ -157,13 +157,10 @@ def require_plies(body: object) -> None:
     """Raise InputError for a body without plates of plies."""
     if getattr(body, "plates", None):
         return
-    name, allowed, state = getattr(body, "name", body), "a plate, such as FlexibleBody.plate(...)", "has no plies"
+    name, hint, state = getattr(body, "name", body), "FlexibleBody.plate(...)", "has no plies"
     if any(isinstance(part.section, Section) for part in getattr(body, "beams", {}).values()):
-        allowed, state = (
-            "mbd.SectionHistory and mbd.PlyFailure for the plies of beams, or a plate",
-            "has plies in beams only",
-        )
-    raise InputError("body", name, allowed, state=state, noun=f"body {name!r}")
+        hint, state = "mbd.SectionHistory and mbd.PlyFailure for the plies of beams", "has plies in beams only"
+    raise InputError("body", name, "a plate", hint, state=state, noun=f"body {name!r}")
 
 
 def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
@@ -177,7 +174,7 @@ def changes_of(motion: MotionData, body: Any) -> list[Temperature]:
                 raise InputError(
                     ("phases", "laws"),
                     force.name,
-                    "one law, such as a function of time, for the whole motion",
+                    "must have one law, such as a function of time, for the whole motion",
                     noun=f"stresses of body {body.name!r} under {force.name!r}",
                     state="are not computed, because a phase of this motion has another law for this load",
                 )

@@ -65,11 +65,7 @@ def joint_named(system: System, name: str) -> Joint:
     joints = [joint for joint in system.joints if joint.name == name]
     if len(joints) > 1:
         raise InputError(
-            "name",
-            name,
-            allowed="a unique name",
-            state=f"is used {len(joints)} times",
-            noun=f"joint name {name!r}",
+            "name", name, allowed="unique", state=f"is used {len(joints)} times", noun=f"joint name {name!r}"
         )
     return joints[0]
 

@@ -158,7 +158,7 @@ class SectionHistory:
             raise InputError(
                 "body",
                 self.name,
-                "a Section, such as sections.strip(...)",
+                "made of a Section, such as sections.strip(...)",
                 state="have no plies",
                 noun=f"the sections of {self.name!r}",
             )
@@ -166,7 +166,7 @@ class SectionHistory:
 
     def _key(self, part: str | None) -> str:
         if part is None and len(self._beams) > 1:
-            raise InputError((self.name, "part"), part, ", ".join(self._beams), state="is None")
+            raise InputError((self.name, "part"), part, self._beams, state="is None")
         key = self.parts[0] if part is None else part
         if key not in self._beams:
             raise unknown((self.name, "part"), key, self._beams)
@@ -176,9 +176,7 @@ class SectionHistory:
         section = self._beams[key].section
         if not isinstance(section, Section):
             raise InputError(
-                (self.name, key),
-                allowed="Section",
-                state=f"is a {type(section).__name__}, which has no stresses",
+                (self.name, key), allowed="a Section", state=f"is a {type(section).__name__}, which has no stresses"
             )
         return section
 
@@ -195,9 +193,10 @@ def beams_of(body: object) -> dict[str, Beams]:
         raise InputError(
             "body",
             name,
-            allowed="FlexibleBody.beam(...), or a model with beams",
+            allowed="must have beams",
             state="has no beams",
             noun=f"body {name!r}",
+            hint="FlexibleBody.beam(...), or a model with beams",
         )
     return beams
 

@@ -41,23 +41,24 @@ def table(
     import pandas as pd
 
     if not names and not histories:
-        raise InputError("names", (), rule="must be of bodies, beams or joints", hint="motion.to_dataframe('arm')")
+        raise InputError("names", (), "names of bodies, beams or joints", hint="motion.to_dataframe('arm')")
     columns: Columns = {}
     for name in names:
         _add(columns, _columns(motion, name))
     for heading, history in (histories or {}).items():
         if not isinstance(heading, str):
-            raise InputError("histories", heading, rule="must be a str", noun="a heading of histories")
+            raise InputError("histories", heading, "a str", noun="a heading of histories")
         if not callable(history):
-            raise InputError(("histories", heading), history, rule="must be a history of a motion")
+            raise InputError(("histories", heading), history, "a history of a motion")
         x = history(motion)
         if not isinstance(x, Tensor) or x.shape != (motion.lanes, len(motion.t)):
             shape = list(x.shape) if isinstance(x, Tensor) else type(x).__name__
             raise InputError(
                 ("histories", heading),
-                rule=f"is {shape}: must be [lanes, times] = {[motion.lanes, len(motion.t)]}",
                 hint="a history, such as mbd.StrainEnergy, and not a measure of one",
                 noun=f"histories[{heading!r}]",
+                allowed=f"must have shape [lanes, times] = {[motion.lanes, len(motion.t)]}",
+                state=f"is {shape}",
             )
         _add(columns, {heading: x})
     index = pd.MultiIndex.from_product([range(motion.lanes), motion.t.detach().tolist()], names=["lane", "t [s]"])
@@ -69,9 +70,10 @@ def _add(columns: Columns, more: Columns) -> None:
         if heading in columns:
             raise InputError(
                 ("names", heading),
-                rule="appears twice: must appear once",
                 hint="each name once",
                 noun=f"column {heading!r}",
+                allowed="must appear once",
+                state="appears twice",
             )
         columns[heading] = x
 
@@ -87,10 +89,10 @@ def _columns(motion: MotionData, name: str) -> Columns:
         raise InputError(
             "names",
             name,
-            rule=f"is the name of a {' and of a '.join(places)}: must be unique",
-            shown="",
+            "unique",
             hint="rename one of them",
             noun=f"name {name!r}",
+            state=f"is the name of a {' and of a '.join(places)}",
         )
     if places == ["beam"]:
         return {f"{name} {key}": x for key, x in _of_beam(BeamMotion(motion, name)).items()}

@@ -56,7 +56,7 @@ def of_equilibrium(name: str) -> Callable[..., Any]:
     """A function of equilibria by its name; InputError if it is not installed."""
     if name not in OF_EQUILIBRIUM:
         noun = f"{name.replace('_', ' ')} of an equilibrium"
-        raise InputError(name, rule=f"are not known: {OF_EQUILIBRIUM.missing(name)}", noun=noun)
+        raise InputError(name, noun=noun, state=f"are not known, because {OF_EQUILIBRIUM.missing(name)}")
     return OF_EQUILIBRIUM[name]
 
 
@@ -260,7 +260,7 @@ class StaticIntegration:
         for lane, balance in enumerate(balances):
             if balance.failure:
                 where = f" of lane {lane}" * (len(balances) > 1) + f" at t = {float(t):g} s" * (len(self.times) > 1)
-                raise DesignFailure("system", rule=balance.failure, noun=f"system{where}:")
+                raise DesignFailure("system", state=balance.failure, noun=f"system{where}:")
 
 
 @exclusive

@@ -144,8 +144,8 @@ class Simulation(Summary):
     def __setattr__(self, name: str, value: Any) -> None:
         """InputError for an argument: motions would follow in part from what was prepared with the former one."""
         if name in vars(self) and not name.startswith("_"):
-            allowed = f"simulation.with_arguments({name}=...), which makes another"
-            raise InputError(name, value, allowed, state="of a Simulation cannot change")
+            hint = f"simulation.with_arguments({name}=...), which makes another"
+            raise InputError(name, value, hint=hint, state="of a Simulation cannot change")
         super().__setattr__(name, value)
 
     @property

@@ -27,7 +27,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, PositiveInt
 
-from torchmbd.errors import InputError, nearest, not_installed
+from torchmbd.errors import InputError, must_be_one, not_installed
 from torchmbd.process import worker_threads
 from torchmbd.study.file.faults import Fault, StudyError, located
 from torchmbd.study.file.schema import Section
@@ -111,7 +111,7 @@ def _interface_faults(name: str | None) -> list[Fault]:
     except ModuleNotFoundError as error:
         raise _missing(error) from None
     names = [name for name, addresses in net_if_addrs().items() if any(a.family == socket.AF_INET for a in addresses)]
-    text = f"= {name!r}: this machine has no address in such a network{nearest(name, names)}"
+    text = f"= {name!r}: this machine has no address in such a network: {must_be_one(name, names)}"
     return [] if name in names else [Fault(("interface",), text)]
 
 
@@ -126,7 +126,7 @@ def _require_accepted(script: str) -> None:
             said = " ".join(answer.stderr.replace("sbatch: error: ", "").split())
             raise InputError(
                 "scheduler",
-                allowed="a partition, an account and sizes that the cluster has",
+                allowed="must get a partition, an account and sizes that the cluster has",
                 noun="sbatch",
                 state=f"refuses the jobs of the cluster file: {said}",
             )

@@ -34,7 +34,7 @@ def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, s
     scheduler  address of a scheduler, or a cluster file (.yaml); None: processes of this machine
     """
     if workers < 0:
-        raise InputError("workers", workers, rule="must be 0 (one for each core) or more", shown=f"{workers}")
+        raise InputError("workers", workers, "0 (one for each core) or more", shown=f"{workers}")
     make, arguments = unpickle_problem, ()
     if study.origin is None:
         arguments = pickle_problem(study.simulated)
@@ -45,18 +45,15 @@ def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, s
         slurm = load_cluster(scheduler)
         if not workers:
             raise InputError(
-                "workers",
-                0,
-                rule="must be 1 or more with a cluster file, because it is the number of workers of all jobs together",
+                "workers", 0, "1 or more with a cluster file, because it is the number of workers of all jobs together"
             )
         if shutil.which("sbatch") is None:
             raise InputError(
                 "scheduler",
                 scheduler,
-                rule="has no sbatch",
-                shown="",
                 hint="a machine of the cluster",
                 noun=f"scheduler = {scheduler!r}: this machine",
+                state="has no sbatch",
             )
         return Workers(make, arguments, rows, workers, start=slurm.start, problem=study.simulated)
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
@@ -71,5 +68,5 @@ def _problem_of_file(study_json: str, folder: str, key: str) -> Any:
     system = build_model(find_model(data.model, Path(folder)), data.options)
     problem = study_of(data, system, Path(folder) / "worker").simulated
     if problem_key(problem) != key:
-        raise MbdError("a worker has another model file or another torchmbd than the study; allowed: the same on all")
+        raise MbdError("a worker has another model file or another torchmbd than the study: must have the same")
     return problem

@@ -172,7 +172,7 @@ def _values_with_errors(problem: Problem, cost: Estimate, criteria: int) -> tupl
     if took > _PATIENCE:
         return (
             values,
-            f"its errors are not estimated, which takes {_duration(took)}; allowed: problem.errors(...) in Python",
+            f"its errors are not estimated, which takes {_duration(took)}. Try: problem.errors(...) in Python",
         )
     begin_stage("simulating the start design with half the steps, and with more modes")
     try:
@@ -190,7 +190,7 @@ def _steps_line(problem: Problem, share: float, reason: str) -> str:
     if share <= LIMIT:
         return f"{text}; the largest error at the start design is {100.0 * share:.1g} %"
     accuracy = "do not resolve it" if math.isnan(share) else f"leave an error of {100.0 * share:.2g} %"
-    return f"warning: {text}, {accuracy}; allowed: {advice(problem, share / LIMIT)}"
+    return f"warning: {text}, {accuracy}. Try: {advice(problem, share / LIMIT)}"
 
 
 def _over_scenarios(problem: Problem) -> str:

@@ -94,7 +94,7 @@ def run_figures(
         raise InputError(
             "workers",
             workers,
-            rule="must be left out, like scheduler, because one process draws the figures",
+            "left out, like scheduler, because one process draws the figures",
         )
     record = RunRecord(plan, console, tracker, uri)
     with record.claimed(fresh):

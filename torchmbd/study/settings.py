@@ -16,7 +16,7 @@ import numpy as np
 from torch import Tensor
 
 from torchmbd.design import Tradeoff
-from torchmbd.errors import InputError, argument_names, nearest, unknown
+from torchmbd.errors import InputError, argument_names, unknown
 from torchmbd.math.checked_numbers import positive
 from torchmbd.math.units import quantity, shown
 from torchmbd.multibody.system import System
@@ -124,8 +124,8 @@ class StudySettings(Summary):
         self.starts = recipe(starts, self._start)
         self.increments = self._checked_increments(increments)
         if any(self.increments) and options.get("max_time") is not None:
-            rule = "must be left out where variables take steps (increments)"
-            raise InputError("max_time", options["max_time"], rule=rule, hint="max_boxes, max_iterations")
+            allowed = "left out where variables take steps (increments)"
+            raise InputError("max_time", options["max_time"], allowed, hint="max_boxes, max_iterations")
         self.sweep = self._sweep_values(sweep)
         self.outcome: Outcome | None = None
 
@@ -135,7 +135,7 @@ class StudySettings(Summary):
         parameters = [name.rpartition("[")[0] or name for name in names]
         angles = {name: "deg" for name in parameters if quantity(name) == "rad"}
         if units is not None and not isinstance(units, Mapping):
-            raise InputError("units", units, "parameter -> unit")
+            raise InputError("units", units, "a mapping parameter -> unit")
         for parameter, unit in (units or {}).items():
             if parameter not in parameters:
                 raise unknown("units of parameter", parameter, dict.fromkeys(parameters), ("units", parameter))
@@ -152,7 +152,7 @@ class StudySettings(Summary):
     def _checked_increments(self, increments: Mapping[str, float | Tensor] | None) -> list[float | None]:
         """Return the increment of each design variable [SI], None where it takes any value."""
         if increments is not None and not isinstance(increments, Mapping):
-            raise InputError("increments", increments, "parameter -> step")
+            raise InputError("increments", increments, "a mapping parameter -> step")
         names = list(self.problem.names)
         for parameter in increments or {}:
             if all(parameter not in (name, name.rpartition("[")[0]) for name in names):
@@ -166,9 +166,9 @@ class StudySettings(Summary):
                 if self.front
                 else "an objective of several rows, such as a worst case over scenarios or at_peaks"
             )
-            rule = f"has a step, but the study searches for {rows}: must have one number as objective"
+            state, allowed = f"has a step, but the study searches for {rows}", "must have one number as objective"
             hint = "max of a history, and combine: {objective: mean} over scenarios"
-            raise InputError("increments", increments, rule=rule, hint=hint, noun="design", shown="")
+            raise InputError("increments", increments, allowed, hint=hint, noun="design", state=state)
         if any(steps):
             Grid(self.problem, steps, self.problem.lower, self.problem.upper, getattr(self.problem, "period", None))
         return steps
@@ -178,16 +178,16 @@ class StudySettings(Summary):
         if spans is None:
             return None
         if not isinstance(spans, Mapping) or any(np.shape(span) != (3,) for span in spans.values()):
-            raise InputError("sweep", spans, "one variable -> (first, last, count)")
+            raise InputError("sweep", spans, "a mapping of one variable -> (first, last, count)")
         others = {"a tolerance": isinstance(self.problem, RobustProblem), "a tradeoff": self.front}
         others["a step"] = any(self.increments)
         for other, is_asked in others.items():
             if is_asked:
-                raise InputError("sweep", rule=f"and {other} are both given; allowed: one of them")
+                raise InputError("sweep", allowed="must not be given together", state=f"and {other} are both given")
         if len(spans) != 1:
-            raise InputError("sweep", spans, "one variable")
+            raise InputError("sweep", spans, "must have one variable")
         if self.has_extra_variable:
-            raise InputError("minimize", rule="has several rows; allowed in a sweep: one number, such as max")
+            raise InputError("minimize", allowed="one number in a sweep, such as max", state="has several rows")
         [(name, span)] = spans.items()
         return sweep_values(name, span, self.problem.names, self.problem.lower, self.problem.upper)
 
@@ -284,8 +284,8 @@ def sweep_values(
     """
     entries = [k for k, label in enumerate(names) if name in (label, label.rpartition("[")[0])]
     if len(entries) != 1:
-        rule = f"is not a single design variable{nearest(name, names)}"
-        raise InputError(("sweep", name), span, rule=rule, noun=f"swept variable {name!r}", shown="")
+        state = "is not a single design variable"
+        raise InputError(("sweep", name), span, names, noun=f"swept variable {name!r}", state=state)
     [index] = entries
     first, last, count = span
     for what, value in (("first value", first), ("last value", last)):
@@ -307,7 +307,7 @@ def check_options(method: str, options: Mapping[str, Any], front: bool) -> None:
         kind, *others = get_args(hints[name]) or (hints[name],)
         types, text = _TYPES.get(kind, (object, ""))
         if not (isinstance(x, types) and isinstance(x, bool) <= (kind is bool)) and not (x is None and others):
-            raise InputError(name, x, rule=f"must be {text}")
+            raise InputError(name, x, text)
     for name, least, most in (("divisions", 1, 10_000), ("max_lanes", 1, 1_000_000), ("max_analyses", 1, 1_000_000)):
         if options.get(name) is not None:
             require_count(name, options[name], least, most)

@@ -99,9 +99,10 @@ class Study(StudySettings):
             raise InputError(
                 "study",
                 self.name,
-                "study.run() first, which reads known evaluations from the disk",
+                "run first",
                 noun=f"study {self.name!r}",
                 state="has not run in this process",
+                hint="study.run(), which reads known evaluations from the disk",
             )
         return self.outcome
 

@@ -66,7 +66,7 @@ def find(uri: StoreURI | str, run: str) -> Entry:
         if entry.run_id.startswith(run) or entry.name == run:
             return entry
     names = dict.fromkeys(entry.name for entry in entries)
-    raise InputError("run", run, list(names), noun=f"in {store_uri(uri)} the run", hint="a run id of torchmbd list")
+    raise InputError("run", run, list(names), noun=f"run in {store_uri(uri)}", hint="a run id of torchmbd list")
 
 
 def fetch(uri: StoreURI, entry: Entry, name: str, folder: Path) -> Path | None:

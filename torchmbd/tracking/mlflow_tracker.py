@@ -102,7 +102,7 @@ class MlflowTracker:
         try:
             parts = [json.loads(line) for line in whole.splitlines()]
         except ValueError as error:
-            raise TrackingError(f"{folder / JOURNAL} cannot be read: {error}; allowed: torchmbd run") from error
+            raise TrackingError(f"{folder / JOURNAL} cannot be read: {error}. Try: torchmbd run") from error
         os.truncate(folder / JOURNAL, len(whole))  # the process may have been killed within a line
         (folder / RECORD).unlink(missing_ok=True)  # of the writer of that process
         for part in parts:

@@ -61,9 +61,9 @@ def _require_free(host: str, port: int) -> None:
             raise InputError(
                 "port",
                 port,
-                rule=f"cannot be used ({error}); choose another with --port",
-                shown="",
                 noun=f"port = {port} of {host}",
+                state=f"cannot be used ({error})",
+                hint="another --port",
             ) from None
 
 

@@ -61,7 +61,7 @@ def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
             chosen,
             "the whole URI",
             hint="MLFLOW_TRACKING_URI",
-            state=f"= {chosen!r}: {MASK} hides a part of the URI",
+            state=f"= {chosen!r} has {MASK}, which hides a part of the URI",
         )
     if chosen.file is None:
         return chosen
@@ -70,9 +70,10 @@ def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
         raise InputError(
             name,
             utf8(str(chosen)),
-            "PYTHONUTF8=1, or a locale of UTF-8",
-            state=f"= {utf8(str(chosen))!r}: the name {utf8(paths[0])!r} cannot be written in the encoding of this locale, "
+            state=f"= {utf8(str(chosen))!r} has the name {utf8(paths[0])!r}, which cannot be written in the "
+            "encoding of this locale, "
             f"{sys.getfilesystemencoding()}",
+            hint="PYTHONUTF8=1, or a locale of UTF-8",
         )
     return StoreURI(f"sqlite:///{chosen.file}")
 
@@ -83,7 +84,7 @@ def checked_uri(uri: str | StoreURI, name: str = "uri") -> StoreURI:
         raise InputError(name, uri, "a store such as sqlite:///mlflow.db")
     checked = StoreURI(uri)
     if fault := uri_fault(checked):
-        raise InputError(name, checked, rule=fault)
+        raise InputError(name, checked, fault)
     return checked
 
 
@@ -91,12 +92,10 @@ def uri_fault(uri: StoreURI) -> str | None:
     """Return why a URI is not a store, None if it may be one."""
     scheme, separator, place = uri.whole.partition("://")
     if not separator or scheme.partition("+")[0] not in SCHEMES or (scheme == "sqlite" and place[:1] != "/"):
-        return f"a store is one of {', '.join(f'{name}:' for name in SCHEMES)}; allowed: such as sqlite:///mlflow.db"
+        return f"must be a store of {', '.join(f'{name}:' for name in SCHEMES)}, such as sqlite:///mlflow.db"
     file = uri.file
     if file and any(c in str(file) for c in _MISREAD):
-        return (
-            f"MLflow misreads {' and '.join(_MISREAD)} in a path; allowed: a path without, named by MLFLOW_TRACKING_URI"
-        )
+        return f"must be a path without {' and '.join(_MISREAD)}, which MLflow misreads. Try: MLFLOW_TRACKING_URI"
     return None
 
 

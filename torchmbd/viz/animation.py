@@ -101,7 +101,11 @@ def require_lane(motion: Any, lane: int) -> None:
         raise InputError("lane", lane, f"0 to {len(motion.status) - 1}, the lanes of the motion", shown=f"{lane}")
     if motion.status[lane].startswith("failed"):
         raise InputError(
-            "lane", lane, rule=f"has no motion to show: {motion.status[lane]}", shown="", noun=f"lane {lane}"
+            "lane",
+            lane,
+            noun=f"lane {lane}",
+            allowed="a lane with a motion",
+            state=f"has none to show, because it {motion.status[lane]}",
         )
 
 
@@ -271,8 +275,8 @@ def _packed(x: np.ndarray) -> str:
     if not np.isfinite(x).all():
         raise InputError(
             "motion",
-            rule="must contain finite numbers only",
             hint="motion.status, which says why a lane failed",
             noun="motion:",
+            allowed="must contain finite numbers only",
         )
     return base64.b64encode(np.ascontiguousarray(x, dtype="<f4").tobytes()).decode("ascii")

@@ -114,7 +114,7 @@ def criteria_over_iterations(
     searches = {name: [i for i in history if np.isfinite(i.objective)] for name, history in searches.items()}
     searches = {name: history for name, history in searches.items() if history}
     if not searches:
-        raise InputError("searches", searches, "at least one start with one iterate", state="is empty")
+        raise InputError("searches", searches, "must contain at least one start with one iterate", state="is empty")
     figure, rows = figure_of(1.4 + 1.5 * (1 + len(problem.constraints)), rows=1 + len(problem.constraints))
     for name, style in best_on_top(searches, best):
         steps = [iterate.iteration for iterate in searches[name]]

@@ -53,7 +53,7 @@ def design_map(
         raise InputError(
             "paths",
             paths,
-            f"({len(headings)},), a variable for each heading",
+            f"must have designs of shape ({len(headings)},), a variable for each heading",
             state=f"have designs of shape {sizes or 'none'}",
         )
     flat = len(headings) > 2

@@ -37,12 +37,12 @@ def fibers(body: Any, layers: Sequence[int] | None = None, view: tuple[float, fl
     """
     parts = list(getattr(body, "plates", {}).values())
     if not parts:
-        raise InputError("body", body, rule="must be a FlexibleBody with laminated plates")
+        raise InputError("body", body, "a FlexibleBody with laminated plates")
     of_parts = [part.fibers() for part in parts]
     count = max(map(len, of_parts))
     shown = list(range(1, count + 1)) if layers is None else list(layers)
     if not shown or not set(shown) <= set(range(1, count + 1)):
-        raise InputError("layers", layers, rule=f"must be numbers from 1 to {count}")
+        raise InputError("layers", layers, f"numbers from 1 to {count}")
     with imports():
         from matplotlib.figure import Figure
         from mpl_toolkits.mplot3d.art3d import Poly3DCollection

@@ -40,7 +40,9 @@ def convergence(
     ['objective', 'violation [share]']
     """
     if not objectives or not any(len(values) for values in objectives.values()):
-        raise InputError("objectives", objectives, "at least one start with one iteration", state="is empty")
+        raise InputError(
+            "objectives", objectives, "must contain at least one start with one iteration", state="is empty"
+        )
     figure, (top, bottom) = figure_of(5.4, rows=2, ratios=(3, 1))
     for name, style in best_on_top(objectives, best):
         steps = range(len(objectives[name]))

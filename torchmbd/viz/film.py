@@ -48,21 +48,24 @@ def film(
         raise InputError("path", str(path), f"a name that ends in {' or '.join(_WRITERS)}")
     if not writers.is_available(_WRITERS[path.suffix]):
         raise InputError(
-            "path", str(path), ".gif", state=f"= {str(path)!r}: needs {_WRITERS[path.suffix]}, which is not installed"
+            "path", str(path), ".gif", state=f"= {str(path)!r} needs {_WRITERS[path.suffix]}, which is not installed"
         )
     require_motion(motion)
     require_lane(motion, lane)
     count = round(seconds * frames_per_second)
     if count < 2 or frames_per_second < 1:
         raise InputError(
-            "seconds", seconds, "two frames or more", state=f"is {seconds}, at {frames_per_second} frames per second"
+            "seconds",
+            seconds,
+            "must have two frames or more",
+            state=f"is {seconds}, at {frames_per_second} frames per second",
         )
     t = motion.t.detach().numpy()
     frames = np.interp(np.linspace(t[0], t[-1], count), t, np.arange(len(t))).round().astype(int)  # nearest times
     scene = scene_of(motion, lane, frames)
     axis = view or scene["view"]
     if axis not in _ACROSS:
-        raise InputError("view", view, ", ".join(_ACROSS), state=f"= {view!r}")
+        raise InputError("view", view, _ACROSS)
     shown = scene["scale"] if scale is None else float(scale)
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     drawing = _Drawing(figure, scene, shown, list(_ACROSS[axis]))

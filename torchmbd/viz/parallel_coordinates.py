@@ -51,7 +51,7 @@ def parallel_coordinates(
         raise InputError(
             "designs",
             X,
-            f"({len(y)}, {len(headings)}), a row for each objective, a column for each heading",
+            f"must have shape ({len(y)}, {len(headings)}), a row for each objective, a column for each heading",
             state=f"have shape {X.shape}",
         )
     good = np.ones(len(X), dtype=bool) if feasible is None else np.asarray(feasible, dtype=bool)

@@ -127,20 +127,20 @@ def test_paths_of_fibers():
 PLY, ANGLES = mbd.examples.carbon(), mbd.deg([30, -30])
 REFUSED = {
     "controls": (lambda: mbd.fibers.FiberField(MESH, 5), "two whole numbers"),
-    "few controls": (lambda: mbd.fibers.FiberField(MESH, (2, 2), degree=3), r"\(2, 2\); allowed: 1, or at least 4"),
-    "degree": (lambda: mbd.fibers.FiberField(MESH, (2, 2), degree=-1), "degree of a FiberField is -1"),
-    "radius": (lambda: mbd.fibers.FiberField(MESH, "cells", radius=0.0), "radius of a FiberField is 0.0"),
+    "few controls": (lambda: mbd.fibers.FiberField(MESH, (2, 2), degree=3), r"\(2, 2\): must be 1, or at least 4"),
+    "degree": (lambda: mbd.fibers.FiberField(MESH, (2, 2), degree=-1), "degree of a FiberField = -1"),
+    "radius": (lambda: mbd.fibers.FiberField(MESH, "cells", radius=0.0), "radius of a FiberField = 0.0"),
     "far": (lambda: mbd.fibers.FiberField(MESH, [[9.0, 0, 0]], radius=0.1), "control point within the radius"),
     "places": (lambda: mbd.fibers.FiberField(MESH, [["a", "b", "c"]], radius=0.1), "controls is"),
-    "word": (lambda: mbd.fibers.FiberField(MESH, "nodes", radius=0.1), "'nodes'; allowed: 'cells'"),
-    "axes": (lambda: mbd.fibers.FiberField(MESH, (3, 3), axes="xx"), "'xx'; allowed: two of x, y, z"),
+    "word": (lambda: mbd.fibers.FiberField(MESH, "nodes", radius=0.1), "'nodes': must be 'cells'"),
+    "axes": (lambda: mbd.fibers.FiberField(MESH, (3, 3), axes="xx"), "'xx': must be two of x, y, z"),
     "flat": (lambda: mbd.fibers.FiberField(MESH, (3, 3), axes="xz"), "no extent"),
     "cells": (lambda: mbd.fibers.FiberField(MESH, (3, 3), cells=[32]), "0 to 31"),
     "shape": (
         lambda: mbd.fibers.SteeredLaminate(PLY, torch.zeros(4, 2), 1e-3, mbd.fibers.FiberField(MESH, (3, 3))),
         "9 controls",
     ),
-    "field": (lambda: mbd.fibers.SteeredLaminate(PLY, ANGLES, 1e-3, MESH), "allowed: a FiberField"),
+    "field": (lambda: mbd.fibers.SteeredLaminate(PLY, ANGLES, 1e-3, MESH), "must be a FiberField"),
     "thin": (
         lambda: mbd.fibers.SteeredLaminate(
             PLY, ANGLES, torch.tensor([[1e-3, -1e-3]] * 9), mbd.fibers.FiberField(MESH, (3, 3))
@@ -153,7 +153,7 @@ REFUSED = {
     ),
     "other mesh": (
         lambda: Plates(mbd.mesh.rectangle(0.4, 0.1, cells=(8, 4)), steered(mbd.fibers.FiberField(MESH, (3, 3)))),
-        "allowed: the mesh of the body",
+        "must be for the mesh of the body",
     ),
     "other cells": (
         lambda: Plates(MESH, steered(mbd.fibers.FiberField(MESH, (3, 3), cells=range(16)))),

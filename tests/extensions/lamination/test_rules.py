@@ -38,7 +38,7 @@ def test_fibers_have_no_head(a, b, expected):
         ({"max_step": 45.0}, [80, -70, 70, 20], "50 degrees between plies 3 and 4"),
         ({"max_step": 30.0}, [80, -80, 60], "40 degrees between plies 2 and 3"),
         ({"min_share": 0.1}, [0, 45, -45, 90], None),
-        ({"min_share": 0.1}, [0, 0, 45, -45], "0 % lie at 90 degrees; allowed: at least 10 %"),
+        ({"min_share": 0.1}, [0, 0, 45, -45], "0 % lie at 90 degrees: must be at least 10 %"),
         ({"min_share": 0.1}, [0] * 7 + [45, -45, 90], None),
         ({"min_share": 0.1}, [0] * 8 + [45, -45, 90], "9.091 % lie at 90 degrees"),
     ],
@@ -84,13 +84,13 @@ def test_the_rules_mean_what_they_say_in_the_stiffness():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: LaminationRules(max_step=100.0), "max_step is 100.0; allowed: 0 to 90"),
-        (lambda: LaminationRules(min_share=0.3), "min_share is 0.3; allowed: 0 to 0.25"),
-        (lambda: LaminationRules(tolerance=-1.0), "tolerance is -1.0"),
-        (lambda: ALL.broken([]), "angles is []; allowed: at least one finite"),
-        (lambda: ALL.broken([float("nan")]), "angles is [nan]"),
-        (lambda: ALL.broken([0, 1], [1.0]), "thickness is [1.0]; allowed: a positive number, or one for each ply"),
-        (lambda: ALL.broken([0, 1], 0.0), "thickness is 0.0"),
+        (lambda: LaminationRules(max_step=100.0), "max_step = 100.0: must be 0 to 90"),
+        (lambda: LaminationRules(min_share=0.3), "min_share = 0.3: must be 0 to 0.25"),
+        (lambda: LaminationRules(tolerance=-1.0), "tolerance = -1.0"),
+        (lambda: ALL.broken([]), "angles = []: must be at least one finite"),
+        (lambda: ALL.broken([float("nan")]), "angles = [nan]"),
+        (lambda: ALL.broken([0, 1], [1.0]), "thickness = [1.0]: must be a positive number, or one for each ply"),
+        (lambda: ALL.broken([0, 1], 0.0), "thickness = 0.0"),
     ],
 )
 def test_bad_input(make, words):

@@ -47,8 +47,8 @@ def test_rules_come_first_and_several_are_sorted():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"plies": 0}, "plies is 0"),
-        ({"number": 1.5}, "number is 1.5"),
+        ({"plies": 0}, "plies = 0"),
+        ({"number": 1.5}, "number = 1.5"),
         ({"angles": []}, "angles is"),
         ({"rules": "balanced"}, "rules is"),
         ({"weights": (1.0, 1.0)}, "weights is"),

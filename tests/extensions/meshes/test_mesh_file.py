@@ -193,7 +193,7 @@ def test_a_shell_of_nastran(tmp_path):
         ("SPC1", "CSHEAR,9,7,1,2,3,4\nSPC1", "CSHEAR 9 (plate.bdf, line 13)"),
         ("SPC1", "CBAR,9,7,1,2,0.,0.,1.\nSPC1", "CBAR 9 (plate.bdf, line 13)"),
         ("SPC1", "UNKNOWN,9\nSPC1", "UNKNOWN 9 (plate.bdf, line 13)"),
-        ("SPC1", "INCLUDE 'more.bdf'\nSPC1", "meshio reads 5 nodes and 2 cells; allowed: 6 and 2"),
+        ("SPC1", "INCLUDE 'more.bdf'\nSPC1", "meshio reads 5 nodes and 2 cells: must read 6 and 2"),
     ],
 )
 def test_what_meshio_loses_of_nastran_is_refused(tmp_path, old, new, words):

@@ -68,7 +68,7 @@ def test_a_file_with_comments_case_control_tabs_and_includes(tmp_path):
     ("text", "words"),
     [
         ("+A,1,2", ["line 1", "continuation without a card"]),
-        ("GRID,1,,a,0.,0.", ["GRID 1 (line 1)", "X1 is 'a'", "a number"]),
+        ("GRID,1,,a,0.,0.", ["GRID 1 (line 1)", "X1 = 'a'", "a number"]),
         ("GRID 1 2 3 4", ["line 1", "columns"]),
         ("SPC1,1,123,1,2,3,4,5,6,7", ["line 1", "'7'", "8 data fields"]),
         ("SPC1,1,123,4.5", ["SPC1 1 (line 1)", "'4.5'"]),

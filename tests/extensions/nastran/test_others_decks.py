@@ -88,7 +88,7 @@ def test_many_scalar_points(read):
             ["SPC1,1,12345,3,4"],
             ["2 grids, the first is 3, components 12345 by SPC1 1 (model.bdf, line 10)", "left out"],
         ),
-        (["RBE3,7,,5,123,1.,123456,1,2", ",3,4"], ["RBE3 7", "C is '123456'", "rotations"]),
+        (["RBE3,7,,5,123,1.,123456,1,2", ",3,4"], ["RBE3 7", "C = '123456'", "rotations"]),
     ],
 )
 def test_what_differs_from_the_deck_is_said(lines, words, read):
@@ -108,7 +108,7 @@ def test_sets_that_are_added_hold_together_without_a_word(read, recwarn):
     ("lines", "words"),
     [
         (["CORD2R,5,,0.,0.,0.,0.,0.,1.", ",1.,0.,0."] * 2, ["CORD2R 5", "line 12", "taken by", "line 10"]),
-        (["CORD2R,0,,0.,0.,0.,0.,0.,1.", ",1.,0.,0."], ["CORD2R 0", "CID is 0"]),
+        (["CORD2R,0,,0.,0.,0.,0.,0.,1.", ",1.,0.,0."], ["CORD2R 0", "CID = 0"]),
         (["CTETRA,8,2,1,2,3,5", "CTETRA,8,2,1,2,4,5", "PSOLID,2,1"], ["CTETRA 8", "line 11", "twice", "line 10"]),
         (["CONM2,8,1,,2."] * 2, ["CONM2 8", "line 11", "appears twice"]),
         (["CORD2C,5,,0.,0.,0.,0.,0.,1.", ",1.,0.,0.", "CONM2,8,2,5,1.,.2,90."], ["CONM2 8", "CID 5 is curved"]),

@@ -253,14 +253,14 @@ def test_beams_of_bars(section, body):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("PBARL,5,2,,BAR", "PBARL,5,2,,DBOX", ["PBARL 5", "TYPE is 'DBOX'", "ROD, T, T1"]),
+        ("PBARL,5,2,,BAR", "PBARL,5,2,,DBOX", ["PBARL 5", "TYPE = 'DBOX'", "ROD, T, T1"]),
         (",0.,1.,1.", ",0.,1.,1.\n,37", ["CBAR 1", "pins '37'", "1 to 6"]),
-        (",0.,1.,1.", ",0.,1.,1.,BGX", ["CBAR 1", "OFFT is 'BGX'"]),
+        (",0.,1.,1.", ",0.,1.,1.,BGX", ["CBAR 1", "OFFT = 'BGX'"]),
         ("CBAR,1,5,1,2,0.,1.,1.", "CBAR,1,5,1,2,99", ["CBAR 1", "GRID 99 does not exist"]),
         ("MAT1,2,70.+9,,.3", "MAT1,2,70.+9,,", ["MAT1 2", "two of E, G, NU"]),
         ("PBARL,5,2,,BAR", "PBCOMP,5,2", ["CBAR 1", "property 5 does not exist"]),
-        ("PBARL,5,2,,BAR\n,.01,.02", "PBEAM,5,2,2.-4,6.-9,1.-9,0.,4.-9\n,\n,NO,1.2,1.-4", ["PBEAM 5", "X/XB is 1.2"]),
-        ("PBARL,5,2,,BAR\n,.01,.02", "PBEAML,5,2,,BAR\n,.01,.02,,OFF", ["PBEAML 5", "SO is 'OFF'"]),
+        ("PBARL,5,2,,BAR\n,.01,.02", "PBEAM,5,2,2.-4,6.-9,1.-9,0.,4.-9\n,\n,NO,1.2,1.-4", ["PBEAM 5", "X/XB = 1.2"]),
+        ("PBARL,5,2,,BAR\n,.01,.02", "PBEAML,5,2,,BAR\n,.01,.02,,OFF", ["PBEAML 5", "SO = 'OFF'"]),
     ],
 )
 def test_what_is_wrong_with_beams_is_named(old, new, words, body):
@@ -318,15 +318,15 @@ REPLACED = [
     ("CQUAD4,1,7,1,", "CQUAD4,1,7,77,", ["CQUAD4 1", "GRID 77 does not exist"]),
     ("CQUAD4,1,7", "CQUAD8,1,7", ["CQUAD8 1", "cannot be read", "CTRIA3, CQUAD4"]),
     ("CQUAD4,2,7", "CQUAD4,1,7", ["CQUAD4 1", "number appears twice"]),
-    ("PCOMP,7,,,,TSAI", "PCOMP,7,,,,TSAI,,,MEM", ["PCOMP 7", "LAM is 'MEM'", "SYM"]),
-    (",1586.0", "", ["MAT8 1", "RHO is ''"]),
+    ("PCOMP,7,,,,TSAI", "PCOMP,7,,,,TSAI,,,MEM", ["PCOMP 7", "LAM = 'MEM'", "SYM"]),
+    (",1586.0", "", ["MAT8 1", "RHO = ''"]),
     (",.23,", ",9.,", ["MAT8 1", "nu12 = 9.0"]),
     ("GRID,1,,-0.15", "GRID,1,3,-0.15", ["GRID 1", "coordinate system 3 does not exist"]),
     ("ENDDATA", "SPOINT,950\nCELAS2,950,1.+5,1,1,950\nENDDATA", ["CELAS2 950", "grid 1 with a scalar point"]),
-    ("ENDDATA", "RBE2,30,1,127,2\nENDDATA", ["RBE2 30", "CM is '127'"]),
+    ("ENDDATA", "RBE2,30,1,127,2\nENDDATA", ["RBE2 30", "CM = '127'"]),
     ("ENDDATA", "RBE2,30,1,123456,2\nRBE2,31,3,123456,2\nENDDATA", ["RBE2 31", "GRID 2 follows already by RBE2 30"]),
     ("ENDDATA", "GRID,1,,0.,0.,0.\nENDDATA", ["GRID 1", "appears twice"]),
-    ("GRID,1,,-0.15,-0.05", "GRID,1,,-0.15,-0.0x", ["GRID 1", "X2 is '-0.0x'"]),
+    ("GRID,1,,-0.15,-0.05", "GRID,1,,-0.15,-0.0x", ["GRID 1", "X2 = '-0.0x'"]),
     ("GRID,101,", "GRID,101,,-.15,-.05,0.\n$", ["CQUAD4 1 ", "is collapsed"]),
 ]  # fmt: skip
 

@@ -74,10 +74,10 @@ def test_named_beams():
     ("text", "words"),
     [
         ("PBARL,5,2,,BOX\n,1.,1.,.6,.1", ["PBARL 5 (line 2)", "BOX", "0.6", "walls"]),
-        ("PBARL,5,2,,L\n,1.,1.,.1,.1", ["TYPE is 'L'", "CHAN2"]),
-        ("PBEAML,5,2,,HAT\n,1.,1.,.1,.1", ["TYPE is 'HAT'"]),
+        ("PBARL,5,2,,L\n,1.,1.,.1,.1", ["TYPE = 'L'", "CHAN2"]),
+        ("PBEAML,5,2,,HAT\n,1.,1.,.1,.1", ["TYPE = 'HAT'"]),
         ("PBEAM,5,2,2.,8.,4.,9.,.1", ["PBEAM 5", "positive definite"]),
-        ("PBEAM,5,2,2.,,4.,9.,.1", ["PBEAM 5", "I1 is ''"]),
+        ("PBEAM,5,2,2.,,4.,9.,.1", ["PBEAM 5", "I1 = ''"]),
     ],
 )
 def test_what_is_wrong_is_named(text, words):
@@ -89,9 +89,9 @@ def test_what_is_wrong_is_named(text, words):
 @pytest.mark.parametrize(
     ("card", "words"),
     [
-        ("PBAR,5,2,0.,8.,4.,.1", "PBAR 5 (line 2): A is 0"),
-        ("PBAR,5,2,-1.,8.,4.,.1,3.", "PBAR 5 (line 2): A is -1"),
-        ("PBEAM,5,2,0.,8.,4.,0.,.1", "PBEAM 5 (line 2): A is 0"),
+        ("PBAR,5,2,0.,8.,4.,.1", "PBAR 5 (line 2): A = 0"),
+        ("PBAR,5,2,-1.,8.,4.,.1,3.", "PBAR 5 (line 2): A = -1"),
+        ("PBEAM,5,2,0.,8.,4.,0.,.1", "PBEAM 5 (line 2): A = 0"),
     ],
 )
 def test_a_section_without_area_is_refused(card, words):

@@ -55,7 +55,7 @@ def test_any_nodes_and_branches():
         ({"elements": [[0, 1]]}, ["2 disconnected parts", "node 2"]),
         ({"node_sets": {"tip": [3]}}, ["'tip'", "node 3", "0 to 2"]),
         ({"node_sets": {"tip": [0.7]}}, ["'tip' holds 0.7", "whole numbers"]),
-        ({"node_sets": [2]}, ["node_sets of a BeamLine is [2]"]),
+        ({"node_sets": [2]}, ["node_sets of a BeamLine = [2]"]),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )

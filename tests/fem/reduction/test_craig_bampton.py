@@ -143,10 +143,10 @@ def changed(matrix: torch.Tensor, index: tuple[int, ...], value: float) -> torch
 @pytest.mark.parametrize(
     ("K", "M", "n", "interface", "fault"),
     [
-        (changed(K_GOOD, (2, 3), torch.nan), M_GOOD, 2, [0], ("K", ANY, "[2, 3] is nan")),
+        (changed(K_GOOD, (2, 3), torch.nan), M_GOOD, 2, [0], ("K", ANY, "[2, 3] = nan")),
         (changed(K_GOOD, (1, 4), 9.0), M_GOOD, 2, [0], ("K", ANY, "[1, 4]")),
         (K_GOOD, changed(M_GOOD, (5, 5), -1.0), 2, [0], ("M", -1.0, "[5, 5]")),
-        (K_GOOD, changed(M_GOOD, (0, 0), torch.inf), 2, [0], ("M", ANY, "[0, 0] is inf")),
+        (K_GOOD, changed(M_GOOD, (0, 0), torch.inf), 2, [0], ("M", ANY, "[0, 0] = inf")),
         (K_GOOD, M_GOOD, 6, [0], ("n", 6)),
         (K_GOOD, M_GOOD, -1, [0], ("n", -1)),
         (K_GOOD, M_GOOD, True, [0], ("n", True)),

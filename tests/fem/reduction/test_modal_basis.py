@@ -159,9 +159,9 @@ def changed(matrix: torch.Tensor, index: tuple[int, ...], value: float) -> torch
 @pytest.mark.parametrize(
     ("K", "M", "n", "fault"),
     [
-        (changed(K_GOOD, (2, 3), torch.nan), M_GOOD, 2, ("K", ANY, "[2, 3] is nan")),
+        (changed(K_GOOD, (2, 3), torch.nan), M_GOOD, 2, ("K", ANY, "[2, 3] = nan")),
         (changed(K_GOOD, (1, 4), 9.0), M_GOOD, 2, ("K", ANY, "[1, 4]")),
-        (K_GOOD, changed(M_GOOD, (0, 5), torch.inf), 2, ("M", ANY, "[0, 5] is inf")),
+        (K_GOOD, changed(M_GOOD, (0, 5), torch.inf), 2, ("M", ANY, "[0, 5] = inf")),
         (K_GOOD, changed(M_GOOD, (3, 3), -1.0), 2, ("M", -1.0, "[3, 3]")),
         (K_GOOD, torch.ones(6).double() - 2 * torch.eye(6).double()[4], 2, ("M", -1.0, "[4, 4]")),
         (K_GOOD, M_GOOD - 2 * torch.eye(6).double()[:1].T @ torch.ones(1, 6).double() / 2, 2, ("M", ANY, "[0, 1]")),

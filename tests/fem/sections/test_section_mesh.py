@@ -43,7 +43,7 @@ def test_lists_arrays_and_mixed_kinds_are_taken():
         ({"elements": [[0, 1, 2], [0, 3, 2]]}, ["element 1", "[0, 3, 2]", "inverted or collapsed"]),
         ({"elements": [[0, 1, 3, 2]]}, ["element 0", "inverted or collapsed"]),
         ({"elements": [[0, 1, 2, 3, 0]]}, ["shape (1, 5)", "3, 4, 6, 8"]),
-        ({"nodes": "square"}, ["nodes is 'square'"]),
+        ({"nodes": "square"}, ["nodes = 'square'"]),
         ({"elements": [[0, 1, 2], [0, 2]]}, ["elements", "whole numbers"]),
         ({"elements": [[0, 1, 2.5]]}, ["elements holds 2.5"]),
         ({"layer": [0, -1]}, ["layer -1"]),

@@ -262,14 +262,14 @@ class TestDoor:
         self.refused("in release of phase '1' the joint 'x' does not exist", [mbd.Phase(release=["x"])])
 
     def test_a_phase_without_an_end(self):
-        self.refused("phase '1' never ends; allowed: until or lasting", [mbd.Phase(), mbd.Phase()])
+        self.refused("phase '1' never ends: must be until or lasting", [mbd.Phase(), mbd.Phase()])
 
     def test_a_last_phase_with_an_end(self):
         self.refused("phase '1' is the last phase, but it has until or lasting", [mbd.Phase(until=0.05)])
 
     def test_times_that_do_not_increase(self):
         phases = [mbd.Phase(until=0.05), mbd.Phase(until=0.03), mbd.Phase()]
-        self.refused(r"until of the phases is \[0.05, 0.03\] s; allowed: increasing times before duration=0.1", phases)
+        self.refused(r"until of the phases = \[0.05, 0.03\] s: must be increasing times before duration=0.1", phases)
 
     def test_both_locked_and_released(self):
         self.refused("both locks and releases 'hook'", [mbd.Phase(lock=["hook"], release=["hook"])])
@@ -309,7 +309,7 @@ class TestDoor:
     def test_impact(self, velocities, words):
         """The tip passes zero height at once: the map is called."""
         phases = [mbd.Phase(until=mbd.Event(lambda m: m.t.expand(m.lanes, -1) - 0.01), impact=velocities), mbd.Phase()]
-        self.refused(rf"the impact of a phase returned {words}.*allowed: a tensor \[lanes, times, n_v\]", phases)
+        self.refused(rf"the impact of a phase returned {words}.*must be a tensor \[lanes, times, n_v\]", phases)
 
     def test_a_joint_that_begins_to_act_must_be_closed(self):
         phases = [mbd.Phase(until=0.05, release=["hinge"]), mbd.Phase()]

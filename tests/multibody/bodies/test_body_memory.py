@@ -16,7 +16,7 @@ from torchmbd.multibody.bodies import body_memory, flexible
 LAMINATE = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
 WORDS = (
     r"mesh of 'shell' has 492 degrees of freedom: their modes take about \S+ MB of memory, 4 MB are available; "
-    r"allowed: up to (\d+)"
+    r"must be up to (\d+)"
 )
 
 

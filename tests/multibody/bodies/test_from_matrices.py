@@ -238,15 +238,15 @@ WRONG = {
     "held": (lambda M, K: {"K": _changed(K, 0, 0, 1e9)}, r"arm.K resists a rigid translation x"),
     "negative": (lambda M, K: {"K": -1.0 * K}, r"arm.K is not positive definite"),
     "no mass": (lambda M, K: {"M": 0.0 * M}, r"arm.M has the masses"),
-    "a size": (lambda M, K: {"K": K[:-6, :-6]}, r"shapes \(42, 42\), \(36, 36\); allowed: 42"),
-    "nodes": (lambda M, K: {"nodes": NODES[:-1]}, r"42 rows for 6 nodes; allowed: 18 or 36, or `freedoms`"),
-    "K": (lambda M, K: {"K": None}, r"arm.K is None"),
+    "a size": (lambda M, K: {"K": K[:-6, :-6]}, r"shapes \(42, 42\), \(36, 36\): must be 42"),
+    "nodes": (lambda M, K: {"nodes": NODES[:-1]}, r"42 rows for 6 nodes: must be 18 or 36, or `freedoms`"),
+    "K": (lambda M, K: {"K": None}, r"arm.K = None"),
     "not finite": (lambda M, K: {"K": _changed(K, 2, 2, np.nan)}, r"not finite"),
     "words": (
         lambda M, K: {"K": "nowhere.mtx"},
-        r"arm.K is 'nowhere.mtx'; allowed: numbers, such as mbd.io.read_matrix",
+        r"arm.K = 'nowhere.mtx': must be numbers, such as mbd.io.read_matrix",
     ),
-    "modes": (lambda M, K: {"modes": 99}, r"arm.modes is 99; allowed: a whole number up to 36"),
+    "modes": (lambda M, K: {"modes": 99}, r"arm.modes = 99: must be a whole number up to 36"),
     "shapes": (
         lambda M, K: {"modes": np.eye(5)},
         r"arm.modes have shape \(5, 5\); .* shapes \[42, m\]",
@@ -258,8 +258,8 @@ WRONG = {
         lambda M, K: {"derivatives": {"E": (1.0, M)}},
         r"(?s)derivatives of 'arm': 'E'.*\(value, dM, dK\)",
     ),
-    "a name": (lambda M, K: {"derivatives": {"a b": (1.0, M, K)}}, r"allowed: a Python identifier"),
-    "freedoms": (lambda M, K: {"freedoms": 5}, r"arm.freedoms is 5; allowed: 3, 6, or"),
+    "a name": (lambda M, K: {"derivatives": {"a b": (1.0, M, K)}}, r"must be a Python identifier"),
+    "freedoms": (lambda M, K: {"freedoms": 5}, r"arm.freedoms = 5: must be 3, 6, or"),
 }
 
 

@@ -554,10 +554,10 @@ def test_bad_changes_are_named():
     for make, words in (
         (
             lambda: mbd.Temperature(box, 1.0),
-            ["body of Temperature is 'box'; allowed: a flexible body of plates or beams"],
+            ["body of Temperature = 'box': must be a flexible body of plates or beams"],
         ),
-        (lambda: mbd.Temperature("p", 1.0), ["body of Temperature is 'p'; allowed: a flexible body"]),
-        (lambda: mbd.Temperature(exact, 1.0), ["body of Temperature is 'hose'", "not an exact beam"]),
+        (lambda: mbd.Temperature("p", 1.0), ["body of Temperature = 'p': must be a flexible body"]),
+        (lambda: mbd.Temperature(exact, 1.0), ["body of Temperature = 'hose'", "not an exact beam"]),
         (lambda: mbd.Temperature(body, 1.0, zone=3), ["panel.zone 3", "plate"]),  # pyright: ignore
         (lambda: mbd.Temperature(body, 1.0, zone=["plate"]), ["panel.zone ['plate']"]),  # pyright: ignore
         (lambda: skewed(body.plates["plate"].laminate, "quad", expansion=["plate", "plate"]), ["each once"]),

@@ -365,12 +365,12 @@ def test_bad_input():
         ([one.angle, one.angle], [1.0, 1.0], "two or three different"),
         ([one.angle, two.angle], [1.0], "factors = .*2 numbers"),
         ([one.angle, two.angle], [1.0, 0.0], "factor2 = 0: must not be zero"),
-        ([one.angle, two.angle], [1.0, math.nan], "factor2 is nan"),
+        ([one.angle, two.angle], [1.0, math.nan], "factor2 = nan"),
         (one.angle, [1.0, 1.0], "coordinates = one.angle: must be a list"),
         (
             [one.angle, two.angle],
             [1.0, torch.tensor(1.0, requires_grad=True)],
-            "factor2 .*allowed: a finite number",
+            "factor2 .*must be a finite number",
         ),
     ):
         with pytest.raises(InputError, match=message):

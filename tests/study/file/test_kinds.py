@@ -35,7 +35,7 @@ def counted(monkeypatch):
 
     def read(source, sections, faults):
         if sections.get("count", 0) > 9:
-            faults = [*faults, Fault(("count",), "= 10: allowed: up to 9")]
+            faults = [*faults, Fault(("count",), "= 10: must be up to 9")]
         return faults or SimpleNamespace(name=source.path.stem, uri=None, **sections)
 
     def run(x, console: Console, uri=None, workers=1, scheduler=None, fresh=False) -> int:
@@ -77,7 +77,10 @@ def test_a_kind_is_checked_and_run(counted, file, capsys):
 
 
 def test_its_faults_have_lines_and_its_keys_dots(counted, file):
-    for overrides, text in ((["count=10"], "count = 10: allowed: up to 9"), (["model=x.py:f"], "model unknown key")):
+    for overrides, text in (
+        (["count=10"], "count = 10: must be up to 9"),
+        (["model=x.py:f"], "model = 'x.py:f' is an unknown key"),
+    ):
         with pytest.raises(StudyError, match=text):
             load(file, overrides)
     file.write_text("count: 3\nnames: {c: {weight: 1.0}}\n", encoding="utf-8")
@@ -94,7 +97,7 @@ def test_another_kind_is_no_study(counted, file):
 @pytest.mark.parametrize(
     ("tables", "text"),
     [
-        (None, r"line 2: weigh unknown key; allowed: .*; torchmbd\.extensions is not installed"),
+        (None, r"line 2: weigh = .* is an unknown key: must be .*; torchmbd\.extensions is not installed"),
         pytest.param(
             SimpleNamespace(NEEDS={}, ENTRIES={"experiments": {"weigh": "scales_of_others:WEIGH"}}),
             r"1 error\n +line 2: weigh: the extension scales_of_others is not installed$",
@@ -102,7 +105,7 @@ def test_another_kind_is_no_study(counted, file):
         ),
         (
             SimpleNamespace(NEEDS={}, ENTRIES={"experiments": {}}),
-            r"line 2: weigh unknown key; allowed: .*{.on.: .scales.}\)$",
+            r"line 2: weigh = .* is an unknown key: must be .*{.on.: .scales.}\)$",
         ),
     ],
 )
@@ -129,7 +132,8 @@ def test_a_section_of_a_missing_extension_is_said(file, monkeypatch, tables, tex
         ),
         (
             {"simulate": {"duration": 0.01, "backend": "gpu"}},
-            "simulate.backend = 'gpu': the extension scales_of_others is not installed. Try: 'auto' or 'eager' or 'native'",
+            "simulate.backend = 'gpu' cannot be used, because the extension scales_of_others is not installed. "
+            "Try: 'auto' or 'eager' or 'native'",
         ),
     ],
 )
@@ -150,6 +154,6 @@ def test_a_misspelt_section_is_told_beside_other_faults_without_extensions(file,
     with pytest.raises(StudyError) as refusal:
         load(file)
     text = str(refusal.value)
-    assert "minimise unknown key" in text
-    assert "did you mean 'minimize'?" in text
+    assert "is an unknown key" in text
+    assert "Try: 'minimize'" in text
     assert "design is missing" in text

@@ -55,5 +55,5 @@ def test_a_report_that_lacks_files_names_them_and_writes_none(copied, finished, 
         shutil.rmtree(copied / "mlartifacts")
     assert cli.main(["report", finished.runs[0], "--output", "r.html"]) == 2
     assert f"lacks {name}" in (text := capsys.readouterr().err)
-    assert "allowed: a store with the whole of its folder mlartifacts" in text
+    assert "must be a store with the whole of its folder mlartifacts" in text
     assert not (copied / "r.html").exists()

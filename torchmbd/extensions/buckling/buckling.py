@@ -108,7 +108,7 @@ class BucklingCase:
             raise InputError(
                 (body.name, "loads"),
                 loads,
-                "at least one force, or an imposed displacement, or a change of temperature or moisture",
+                "must have at least one force, or an imposed displacement, or a change of temperature or moisture",
                 state="are zero",
             )
         self._static = StaticLoads(supported.pattern)

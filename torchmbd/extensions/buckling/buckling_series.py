@@ -53,7 +53,7 @@ class BucklingSeries:
             raise InputError(
                 "supports",
                 supports,
-                allowed="supports at rest along a motion",
+                allowed="at rest along a motion",
                 state="are displaced",
                 noun=f"supports of {body.name!r}",
             )

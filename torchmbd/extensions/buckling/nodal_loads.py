@@ -30,7 +30,7 @@ class NodalLoads:
 
     def __init__(self, mesh: Mesh | BeamLine, name: str, loads: Loads) -> None:
         if not isinstance(loads, Mapping):
-            raise InputError((name, "loads"), loads, "nodes -> force, or force and moment")
+            raise InputError((name, "loads"), loads, "a mapping node -> force, or force and moment")
         self.mesh, self.any = mesh, False
         self._loads: list[tuple[list[int], Tensor]] = []
         for where, load in loads.items():

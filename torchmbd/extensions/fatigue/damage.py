@@ -113,7 +113,7 @@ class Damage(OfHistory):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not isinstance(self.curve, SNCurve):
-            raise InputError("curve", self.curve, "SNCurve([(cycles, amplitude), ...])")
+            raise InputError("curve", self.curve, "an SNCurve([(cycles, amplitude), ...])")
         _positive("repeats", self.repeats)
 
     @property
@@ -151,7 +151,7 @@ class FatigueDamage(Measure):
     def __post_init__(self) -> None:
         _positive("repeats", self.repeats)
         if self.curves is not None and (not isinstance(self.curves, Mapping) or not self.curves):
-            raise InputError("curves", self.curves, "components -> SNCurve, such as {'11': SNCurve(...)}")
+            raise InputError("curves", self.curves, "a mapping component -> SNCurve, such as {'11': SNCurve(...)}")
         if self.curves is None and not isinstance(self.exponent, Mapping):
             _positive("exponent", self.exponent)
             return
@@ -167,7 +167,7 @@ class FatigueDamage(Measure):
                 raise InputError(
                     (str(component), "curve"),
                     x,
-                    "SNCurve([(cycles, amplitude), ...])",
+                    "an SNCurve([(cycles, amplitude), ...])",
                     noun=f"curve of component {component!r}",
                 )
 
@@ -177,9 +177,10 @@ class FatigueDamage(Measure):
             raise InputError(
                 "body",
                 self.body,
-                "Ply(..., strength=Strength(...)), or curves",
+                "must have a strength",
                 state="has no strength",
                 noun=f"a ply of body {self.body!r}",
+                hint="Ply(..., strength=Strength(...)), or curves",
             )
 
     def value(self, motion: Trajectory) -> Tensor:

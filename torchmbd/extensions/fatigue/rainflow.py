@@ -43,7 +43,10 @@ def rainflow(y: Any) -> Cycles:
     y = y if y.is_floating_point() else y.double()
     if y.dim() < 1 or y.shape[-1] < 2:
         raise InputError(
-            "y", allowed="[..., n] with at least two values", state=f"has the shape {tuple(y.shape)}", noun="a history"
+            "y",
+            allowed="must have shape [..., n] with at least two values",
+            state=f"has the shape {tuple(y.shape)}",
+            noun="a history",
         )
     first, second, count = _Pairs.apply(y)  # pyright: ignore[reportGeneralTypeIssues]
     # The cycles of the finite values alone would look like a result.

@@ -72,7 +72,7 @@ class SNCurve:
                 raise InputError(
                     ("points", k),
                     (n, a),
-                    "more cycles, and a smaller amplitude",
+                    "must have more cycles, and a smaller amplitude",
                     noun=f"points[{k}]",
                     shown=f"{(n, a)} after {points[k - 1]}",
                 )
@@ -84,7 +84,7 @@ class SNCurve:
             raise InputError(
                 "compression",
                 self.compression,
-                "tension and compression, tension alone, or neither of them",
+                "given with tension, or left out",
                 state=f"is {self.compression!r} without tension",
             )
 

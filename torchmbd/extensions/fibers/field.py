@@ -110,7 +110,7 @@ class FiberField:
         if mesh is not self.mesh:
             raise InputError(
                 "field",
-                allowed=f"the mesh of the body, {mesh!r}",
+                allowed=f"for the mesh of the body, {mesh!r}",
                 state=f"is for {self.mesh!r}",
                 noun="field of a laminate",
             )
@@ -118,7 +118,7 @@ class FiberField:
         if len(cells) != len(self.cells) or bool((row < 0).any()):
             raise InputError(
                 "field",
-                allowed=f"the {len(cells)} cells that the laminate covers",
+                allowed=f"for the {len(cells)} cells that the laminate covers",
                 state=f"is for {len(self.cells)} cells",
                 noun="field of a laminate",
             )
@@ -132,7 +132,9 @@ def _cells(mesh: Mesh, cells: Sequence[int] | Tensor | None) -> Tensor:
     if numbers.ndim != 1 or not len(numbers) or int(numbers.min()) < 0 or int(numbers.max()) >= mesh.cell_count:
         raise InputError("cells", cells, f"numbers of cells, 0 to {mesh.cell_count - 1}", noun="cells of a FiberField")
     if len(numbers.unique()) < len(numbers):
-        raise InputError("cells", cells, "each number once", noun="cells of a FiberField", state="has a number twice")
+        raise InputError(
+            "cells", cells, "must contain each number once", noun="cells of a FiberField", state="has a number twice"
+        )
     return numbers
 
 
@@ -237,10 +239,11 @@ def _radial(places: Tensor, points: Tensor, radius: float) -> tuple[Tensor, Tens
         raise InputError(
             "radius",
             radius,
-            "a larger radius, or more controls",
+            "must reach a control point from every cell",
             noun="radius of a FiberField",
-            state=f"is {radius!r} m: cell {int(no_control[0])} and {len(no_control) - 1} other cells do not have a "
-            "control point within the radius",
+            state=f"is {radius!r} m, and cell {int(no_control[0])} and {len(no_control) - 1} other cells do "
+            "not have a control point within it",
+            hint="a larger radius, or more controls",
         )
     W = phi / total
     return W, (slope.mT - W[:, None] * slope.sum(1)[..., None]) / total[:, None]

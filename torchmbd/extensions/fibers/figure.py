@@ -45,9 +45,10 @@ def fiber_paths(body: Any, density: float = 1.0) -> Figure:
     if float((axes - axes[0]).abs().max()) > _FLAT:
         raise InputError(
             body.name,
-            allowed="a flat plate (viz.save_mesh writes fibers of any shell)",
+            allowed="a flat plate",
             noun=f"body {body.name!r}",
             state="is not flat",
+            hint="viz.save_mesh, which writes fibers of any shell",
         )
     with torch.no_grad():
         theta = laminate.field.values(laminate.angles)

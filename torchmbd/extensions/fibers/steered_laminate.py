@@ -81,7 +81,7 @@ class SteeredLaminate(Laminate):
             raise InputError(
                 "angles",
                 angles,
-                "[controls, layers]",
+                "must have shape [controls, layers]",
                 noun="angles of a SteeredLaminate",
                 state="is a Parameter without an axis of controls",
             )
@@ -101,7 +101,7 @@ class SteeredLaminate(Laminate):
             raise InputError(
                 "ply",
                 ply,
-                "plies whose constants are not mbd.variable(...)",
+                "must have constants that are not mbd.variable(...)",
                 noun="ply of a SteeredLaminate",
                 state="has design variables",
             )
@@ -162,7 +162,7 @@ def _row(name: str, value: Tensor, field: FiberField) -> Tensor:
     if value.ndim != 2 or len(value) != field.controls:
         raise InputError(
             name,
-            allowed=f"[layers], or [{field.controls} controls, layers]",
+            allowed=f"must have shape [layers], or [{field.controls} controls, layers]",
             state=f"has shape {tuple(value.shape)}",
             noun=f"SteeredLaminate: {name}",
         )

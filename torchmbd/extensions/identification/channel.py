@@ -99,7 +99,11 @@ class Channel:
 def channels_of(channels: Any) -> dict[str, Channel]:
     """Channels by name, of channels or of histories; InputError for anything else."""
     if not isinstance(channels, Mapping) or not channels:
-        raise InputError("channels", channels, "name -> mbd.identification.Channel(...), or a history; at least one")
+        raise InputError(
+            "channels",
+            channels,
+            "a mapping name -> mbd.identification.Channel(...), or name -> history, with at least one name",
+        )
     result = {}
     for name, x in channels.items():
         if not isinstance(name, str) or not isinstance(x, (Channel, History)):

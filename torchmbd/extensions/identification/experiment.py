@@ -61,17 +61,14 @@ class Experiment(Summary):
             "measurements", single, Measurement, "a measurement, such as mbd.identification.TimeSeries(...)"
         )
         if not self.measurements:
-            raise InputError("measurements", measurements, "at least one measurement", state="is empty")
+            raise InputError("measurements", measurements, "must contain at least one measurement", state="is empty")
         for measurement in self.measurements:
             measurement.check(system)
         self.channels = [block.channel for x in self.measurements for block in x.blocks]
         for name in self.channels:
             if self.channels.count(name) > 1:
                 raise InputError(
-                    name,
-                    allowed="each name once",
-                    noun=f"channel {name!r}",
-                    state="is measured twice in one experiment",
+                    name, allowed="measured once", noun=f"channel {name!r}", state="is measured twice in one experiment"
                 )
         self.duration = None if duration is None else positive("duration", duration, "s")
         self.phases = phases
@@ -90,10 +87,7 @@ class Experiment(Summary):
         self.settings = settings_of(system, (), "of the experiment", settings or {}, ("settings",))
         for name in (name for measurement in self.measurements for name in measurement.sets if name in self.settings):
             raise InputError(
-                "settings",
-                settings,
-                "parameters that are not loads",
-                state=f"has {name!r}, a load that a measurement sets",
+                "settings", settings, "must not contain loads", state=f"has {name!r}, a load that a measurement sets"
             )
         self.steps = steps
 

@@ -31,7 +31,7 @@ def data_and_model(
     ['x position of tip [m]', 'model - data']
     """
     if not channels:
-        raise InputError("channels", channels, "at least one channel", state="is empty")
+        raise InputError("channels", channels, "must contain at least one channel", state="is empty")
     figure, axes = figure_of(3.2 * len(channels), rows=2 * len(channels), ratios=[3, 1] * len(channels), sharex=False)
     starts = [None] * len(channels) if before is None else before
     for (name, title, over, x, data, model), first, top, bottom in zip(

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchmbd.design.space import DesignSpace
 from torchmbd.diagnosis.repetition import finer_count
-from torchmbd.errors import InputError, SimulationFailure, nearest
+from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.extensions.identification.experiment import Experiment
 from torchmbd.extensions.identification.measurement import Block, Measurement
 from torchmbd.extensions.identification.run import Run
@@ -174,7 +174,7 @@ class FitProblem:
     def _priors(self, priors: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Unknowns with a prior, their means and deviations."""
         if not isinstance(priors, Mapping):
-            raise InputError("priors", priors, "parameter name -> (mean, standard deviation)")
+            raise InputError("priors", priors, "a mapping parameter name -> (mean, standard deviation)")
         means, deviations = {}, {}
         for name, pair in priors.items():
             if not isinstance(pair, (tuple, list)) or len(pair) != 2:
@@ -379,34 +379,30 @@ def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequ
     """The unknown parameters of the systems by name; InputError for one that no system has, or that an experiment sets."""
     names = list_of("unknowns", unknowns, str, "names of parameters")
     if len(set(names)) < len(names):
-        raise InputError("unknowns", names, "each parameter once")
+        raise InputError("unknowns", names, "must name each parameter once")
     every: dict[str, Any] = {}
     for x in experiments.values():
         every = dict(x.system.named_parameters()) | every
     parameters = {}
     for name in names:
         if name not in every:
-            hint = "; a plain number of a constructor becomes a parameter by mbd.variable(...)"
-            rule = f"is not a parameter{nearest(name, every)}{hint}"
-            raise InputError(("unknowns", name), rule=rule, noun=f"unknown {name!r}")
+            hint = "mbd.variable(...), which makes a parameter of a plain number of a constructor"
+            noun, state = f"unknown {name!r}", "is not a parameter"
+            raise InputError(("unknowns", name), allowed=every, hint=hint, noun=noun, state=state)
         parameters[name] = every[name]
         for key, x in experiments.items():
             of_system = dict(x.system.named_parameters())
             if name in x.settings:
-                rule, noun = (
-                    f"sets {name!r}, an unknown; allowed: parameters that are not unknowns",
-                    f"experiment {key!r}",
-                )
-                raise InputError(("unknowns", name), rule=rule, noun=noun)
+                state, noun = f"sets {name!r}, an unknown", f"experiment {key!r}"
+                raise InputError(("unknowns", name), allowed="must not set unknowns", noun=noun, state=state)
             if any(name in measurement.sets for measurement in x.measurements):
-                rule = f"is a measured load of experiment {key!r}; allowed: parameters that are not measured"
-                raise InputError(("unknowns", name), rule=rule, noun=f"unknown {name!r}")
+                state, allowed = f"is a measured load of experiment {key!r}", "a parameter that is not measured"
+                raise InputError(("unknowns", name), noun=f"unknown {name!r}", allowed=allowed, state=state)
             if name in of_system and of_system[name].shape != every[name].shape:
-                rule = (
-                    f"has {of_system[name].numel()} entries in experiment {key!r}, and {every[name].numel()} in another; "
-                    "allowed: the same in all systems that have it"
-                )
-                raise InputError(("unknowns", name), rule=rule, noun=repr(name))
+                sizes = of_system[name].numel(), every[name].numel()
+                state = f"has {sizes[0]} entries in experiment {key!r}, and {sizes[1]} in another"
+                allowed = "must have the same number in all systems that have it"
+                raise InputError(("unknowns", name), noun=repr(name), allowed=allowed, state=state)
     return parameters
 
 
@@ -418,8 +414,8 @@ def _own_names(name: str, experiment: Experiment, parameters: dict[str, Any], se
             label = f"{name}.{local}" if several else local
             if id(x) not in known:
                 if label in parameters:
-                    rule = "is a parameter of a system and an unknown of a channel; allowed: other names"
-                    raise InputError(("unknowns", label), rule=rule, noun=repr(label))
+                    state, allowed = "is a parameter of a system and an unknown of a channel", "must have other names"
+                    raise InputError(("unknowns", label), noun=repr(label), allowed=allowed, state=state)
                 parameters[label] = x
                 known[id(x)] = label
             result[local] = known[id(x)]

@@ -72,7 +72,7 @@ class FrequencyResponseData(Measurement):
         **options: Any,
     ):
         if not isinstance(outputs, Mapping) or not all(isinstance(name, str) for name in outputs):
-            raise InputError("outputs", outputs, "name -> signal, such as mbd.signals.JointAngle(joint)")
+            raise InputError("outputs", outputs, "a mapping name -> signal, such as mbd.signals.JointAngle(joint)")
         if not isinstance(input, Actuator):
             raise InputError("input", input, "an actuator, such as mbd.signals.JointTorque(joint)")
         pairs = {name: x if isinstance(x, tuple) and len(x) == 2 else (x, None) for name, x in outputs.items()}
@@ -104,13 +104,13 @@ class FrequencyResponseData(Measurement):
             if not len(m) or (self.form == "polar" and not m.all()):
                 raise InputError(
                     name,
-                    allowed="other numbers",
+                    allowed="must have numbers other than zero at all of them",
                     noun=f"output {name!r}",
                     state="has zeros or gaps at measured frequencies",
                 )
         deviation = {} if deviation is None else deviation
         if not isinstance(deviation, Mapping):
-            raise InputError("deviation", deviation, "name of an output -> a number, or one for each row")
+            raise InputError("deviation", deviation, "a mapping name of an output -> a number, or one for each row")
         for name, x in deviation.items():
             one_of("deviation", name, self.outputs)
             values = checked_deviation(f"deviation of output {name!r}", x)
@@ -118,7 +118,7 @@ class FrequencyResponseData(Measurement):
                 raise InputError(
                     (name, "deviation"),
                     deviation,
-                    f"{len(self.f)}",
+                    f"must have {len(self.f)}",
                     noun=f"deviation of output {name!r}",
                     state=f"has {len(values)} values",
                 )
@@ -169,7 +169,10 @@ def _table(data: Any, frequency: str, names: list[str], form: str) -> tuple[np.n
         x, form = np.asarray(pairs.pop(name)), "complex"
         if not np.iscomplexobj(x):
             raise InputError(
-                name, allowed="complex numbers", noun=f"output {name!r}", state="has numbers without imaginary parts"
+                name,
+                allowed="must have complex numbers",
+                noun=f"output {name!r}",
+                state="has numbers without imaginary parts",
             )
         pairs |= {f"{name} real": np.real(x), f"{name} imaginary": np.imag(x)}
     data = pairs or data

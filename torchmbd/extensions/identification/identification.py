@@ -345,7 +345,7 @@ class Identification(Summary):
             raise InputError(
                 "experiments",
                 list(groups),
-                "at least two channels, because one of them is left out",
+                "must have at least two channels, because one of them is left out",
                 state="has one channel",
             )
         searched, r, result = self.searched, self.residuals, {}

@@ -227,11 +227,15 @@ def _by_name(what: str, experiments: Any, optional: bool = False) -> dict[str, E
     if isinstance(experiments, Sequence) and not isinstance(experiments, str):
         experiments = {f"experiment {k + 1}": x for k, x in enumerate(experiments)}
     if not isinstance(experiments, Mapping) or not (experiments or optional):
-        raise InputError(str(what), experiments, "mbd.identification.Experiment(...), a list, or name -> Experiment")
+        raise InputError(
+            str(what),
+            experiments,
+            "an mbd.identification.Experiment(...), a list of these, or a mapping name -> Experiment",
+        )
     for name, x in experiments.items():
         if not isinstance(name, str) or not isinstance(x, Experiment):
             raise InputError(
-                str(what), allowed="name -> mbd.identification.Experiment(...)", state=f"has {name!r}: {x!r}"
+                str(what), allowed="a mapping name -> mbd.identification.Experiment(...)", state=f"has {name!r}: {x!r}"
             )
     return dict(experiments)
 

@@ -105,14 +105,14 @@ class ModalData(Measurement):
         self.sensors = [_velocity(sensor) for sensor in sensors]
         self.shapes = None if shapes is None else _numbers(shapes)
         if shapes is None and self.sensors:
-            raise InputError("sensors", sensors, "both, or none", state="are given without shapes")
+            raise InputError("sensors", sensors, "given with shapes, or left out", state="are given without shapes")
         if shapes is not None and modes is not None:
-            raise InputError("modes", modes, "one of them", state=f"is {modes!r} with shapes, which pair modes")
+            raise InputError("modes", modes, "None", state=f"is {modes!r} with shapes, which pair modes")
         if self.shapes is not None and self.shapes.shape != (len(self.sensors), count):
             raise InputError(
                 "shapes",
                 self.shapes,
-                f"[{len(self.sensors)} sensors, {count} modes]",
+                f"must have shape [{len(self.sensors)} sensors, {count} modes]",
                 state=f"have shape {self.shapes.shape}",
             )
         if self.shapes is not None and not (
@@ -166,9 +166,9 @@ class ModalData(Measurement):
         if not kept:
             raise InputError(
                 "frequencies",
-                allowed="shapes that a mode of the model has",
+                allowed="must have shapes that a mode of the model has",
                 noun="measured modes",
-                state=f"have no partner in the model: the largest MAC is {mac.max():.2g}",
+                state=f"have no partner in the model, where the largest MAC is {mac.max():.2g}",
             )
         result = object.__new__(type(self))
         vars(result).update(vars(self))
@@ -222,9 +222,9 @@ class ModalData(Measurement):
             raise InputError(
                 "numbers",
                 max(self.numbers),
-                rule=f"is measured, and the model has {len(modes)} vibrations",
-                shown="",
+                f"1 to {len(modes)}",
                 noun=f"mode {max(self.numbers)}",
+                state=f"is measured, and the model has {len(modes)} vibrations",
             )
         return Pairing([modes[k - 1] for k in self.numbers], [math.nan] * len(self.numbers))
 
@@ -234,7 +234,7 @@ class ModalData(Measurement):
         if bool(f.isnan().any()):
             raise DesignFailure(
                 "system",
-                allowed="a stable equilibrium",
+                allowed="about a stable equilibrium",
                 noun="vibrations about the equilibrium",
                 state="grow, so that they do not have frequencies",
             )
@@ -247,8 +247,9 @@ class ModalData(Measurement):
         if len(modes) < len(self.frequencies):
             raise InputError(
                 "frequencies",
-                rule=f"are measured, and the model has {len(modes)} vibrations",
+                allowed=f"at most {len(modes)}",
                 noun=f"{len(self.frequencies)} modes",
+                state=f"are measured, and the model has {len(modes)} vibrations",
             )
         shapes = rest.vibrations[lane].shapes[:, modes].T  # at each "time" the rates of one mode
         q = rest.q[lane, -1].detach().expand(len(modes), -1)
@@ -295,9 +296,9 @@ def _poles_of(s: Tensor, natural: Tensor, modes: Tensor) -> Tensor:
             if mode not in pole:
                 raise DesignFailure(
                     "damping",
-                    allowed="less damping",
+                    allowed="must have less damping",
                     noun=f"mode {mode + 1} of the model, {float(w[mode]) / (2.0 * math.pi):.4g} Hz,",
-                    state="does not oscillate: its poles are real",
+                    state="does not oscillate, because its poles are real",
                 )
             result[k, lane] = pole[mode]
     return result
@@ -315,7 +316,9 @@ def _velocity(sensor: Any) -> Velocity:
     """The velocity of a point whose position or displacement a sensor shows: of a mode its component there."""
     if not isinstance(sensor, Position):
         raise InputError(
-            "sensors", allowed="positions, such as mbd.Position('arm', 'z', node='right')", state=f"has {sensor!r}"
+            "sensors",
+            allowed="must contain positions, such as mbd.Position('arm', 'z', node='right')",
+            state=f"has {sensor!r}",
         )
     seen_from = sensor.observer if isinstance(sensor, Displacement) else sensor.seen_from
     return Velocity(sensor.body, sensor.axis, sensor.node, sensor.point, seen_from, sensor.axes)

@@ -17,7 +17,7 @@ import numpy as np
 
 from torchmbd.design.response_spec import history_of
 from torchmbd.design.words import unit as unit_of
-from torchmbd.errors import InputError, nearest
+from torchmbd.errors import InputError, must_be_one
 from torchmbd.errors import Path as FaultPath
 from torchmbd.extensions.identification.channel import SENSOR, Channel
 from torchmbd.extensions.identification.experiment import Experiment
@@ -247,14 +247,14 @@ class _Maker:
             factor = scale if key == "offset" else 1.0
             if isinstance(written, str) and written not in self.sensor_labels:
                 self.faults.append(
-                    Fault((*path, key), f"= {written!r}: is not a sensor{nearest(written, self.sensor_labels)}")
+                    Fault((*path, key), f"= {written!r} is not a sensor: {must_be_one(written, self.sensor_labels)}")
                 )
                 return None
             if label in self.unknowns and (kind == "experiments" or isinstance(written, str)):
                 first = _DEFAULTS[key] if isinstance(written, str) else factor * written
                 numbers[key] = self._sensor(label, key, first, si)
             elif isinstance(written, str):
-                text = f"= {written!r}: is not an unknown{nearest(written, self.unknowns)}"
+                text = f"= {written!r} is not an unknown: {must_be_one(written, self.unknowns)}"
                 self.faults.append(Fault((*path, key), text))
                 return None
             else:
@@ -269,9 +269,7 @@ class _Maker:
             if unknown.unit != units.NONE and expected is not None and units.UNITS[unknown.unit][1] != expected:
                 allowed = ", ".join(units.units_of(expected)) or units.NONE
                 self.faults.append(
-                    Fault(
-                        ("identify", "unknowns", label, "unit"), f"= {unknown.unit!r}: allowed for {label}: {allowed}"
-                    )
+                    Fault(("identify", "unknowns", label, "unit"), f"= {unknown.unit!r}: must be {allowed}")
                 )
             start = unknown.start
             self.sensors[label] = variable(
@@ -300,8 +298,8 @@ def read_identification(
     for name in names:
         if name not in parameters:
             hint = "; a plain number of a constructor becomes a parameter by mbd.variable(...)"
-            allowed = nearest(name, [*parameters, *maker.sensor_labels])
-            text = f": must be a parameter of the model or a number of a sensor{allowed}{hint}"
+            names = must_be_one(name, [*parameters, *maker.sensor_labels])
+            text = f": is not a parameter of the model or a number of a sensor: {names}{hint}"
             faults.append(Fault(("identify", "unknowns", name), text))
     if faults:
         return faults

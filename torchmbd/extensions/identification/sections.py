@@ -29,7 +29,7 @@ def _readable(spec: dict[str, Any]) -> dict[str, Any]:
     try:
         history_of(spec)
     except SpecError as error:
-        raise PydanticCustomError("response", "{text}", {"text": error.rule, "path": error.path}) from error
+        raise PydanticCustomError("response", "{text}", {"text": error.reason, "path": error.path}) from error
     return spec
 
 
@@ -197,7 +197,7 @@ class ExperimentData(Section):
     @model_validator(mode="after")
     def _measures_something(self) -> Self:
         if not any(getattr(self, kind) is not None for kind in MEASUREMENTS):
-            raise fault(f": measures nothing; must have {' or '.join(MEASUREMENTS)}")
+            raise fault(f": measures nothing: must have {' or '.join(MEASUREMENTS)}")
         return self
 
     @property
@@ -229,7 +229,7 @@ class Identify(Section):
     @model_validator(mode="after")
     def _different_names(self) -> Self:
         if twice := [name for name in self.validation if name in self.experiments]:
-            raise fault(f"= {twice[0]!r}: is an experiment as well; allowed: another name", "validation", twice[0])
+            raise fault(f"= {twice[0]!r}: must have another name than the experiments", "validation", twice[0])
         return self
 
 

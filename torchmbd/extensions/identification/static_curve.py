@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.design.differentiate import differentiate
-from torchmbd.errors import InputError, nearest, within
+from torchmbd.errors import InputError, within
 from torchmbd.extensions.identification.channel import Channel, channels_of
 from torchmbd.extensions.identification.measurement import Block, Measurement, Prediction, number_of
 from torchmbd.extensions.identification.run import Run
@@ -42,7 +42,7 @@ class StaticCurve(Measurement):
 
     def __init__(self, data: Any, loads: Mapping[str, str], channels: Mapping[str, Any]):
         if not isinstance(loads, Mapping) or not loads or not all(isinstance(x, str) for x in loads.values()):
-            raise InputError("loads", loads, "parameter -> name of its column, at least one")
+            raise InputError("loads", loads, "a mapping parameter -> name of its column, with at least one parameter")
         self.channels = channels_of(channels)
         columns = {name: channel.column or name for name, channel in self.channels.items()}
         table = Table.of(data, list(dict.fromkeys([*loads.values(), *columns.values()])))
@@ -56,12 +56,12 @@ class StaticCurve(Measurement):
         parameters = dict(system.named_parameters())
         for name in self.loads:
             if name not in parameters:
-                hint = "; a plain number of a load becomes a parameter by mbd.variable(...)"
-                rule = f"is not a parameter{nearest(name, parameters)}{hint}"
-                raise InputError(("loads", name), rule=rule, noun=f"load {name!r}")
+                hint = "mbd.variable(...), which makes a parameter of a plain number of a load"
+                noun, state = f"load {name!r}", "is not a parameter"
+                raise InputError(("loads", name), allowed=parameters, hint=hint, noun=noun, state=state)
             if parameters[name].numel() != 1:
-                rule = f"has {parameters[name].numel()} entries; allowed: a parameter of one"
-                raise InputError(("loads", name), rule=rule, noun=f"load {name!r}")
+                state, allowed = f"has {parameters[name].numel()} entries", "a parameter of one entry"
+                raise InputError(("loads", name), noun=f"load {name!r}", allowed=allowed, state=state)
         for name, channel in self.channels.items():
             try:
                 channel.response.check(system)
@@ -149,12 +149,14 @@ def _load(table: Table, column: str) -> np.ndarray:
 def _check_channel(name: str, channel: Channel, present: np.ndarray) -> None:
     path, noun = ("channels", name), f"channel {name!r}"
     if isinstance(channel.delay, nn.Parameter) or channel.delay:
-        raise InputError(path, allowed="gain and offset", state="of a static curve has a delay", noun=noun)
+        raise InputError(
+            path, allowed="must have gain and offset alone", state="of a static curve has a delay", noun=noun
+        )
     if not present.any():
-        raise InputError(path, allowed="at least one number", state="has only gaps", noun=noun)
+        raise InputError(path, allowed="must have at least one number", state="has only gaps", noun=noun)
     if isinstance(channel.deviation, np.ndarray) and len(channel.deviation) != len(present):
-        rule = f"has {len(channel.deviation)} values; allowed: {len(present)}"
-        raise InputError((*path, "deviation"), channel.deviation, rule=rule, noun=f"deviation of {noun}", shown="")
+        state, allowed = f"has {len(channel.deviation)} values", f"must have {len(present)}"
+        raise InputError((*path, "deviation"), channel.deviation, allowed, noun=f"deviation of {noun}", state=state)
     if channel.response.since_start:
         allowed = "mbd.Position, with an offset, or the displacement of a node seen from its own body"
         shown = "a displacement since the start, which a state at rest has not"

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError, nearest, unknown, wrong_entry
+from torchmbd.errors import InputError, unknown, wrong_entry
 from torchmbd.errors import Path as Keys
 from torchmbd.math.units import UNITS
 
@@ -56,7 +56,7 @@ class Table:
         texts = [str(key) for key in data]
         headings = _headings(texts)
         if len(headings) < len(texts):
-            raise InputError("data", data, "each name once, whatever its unit", state=f"has columns {texts}")
+            raise InputError("data", data, "must have each name once, whatever its unit", state=f"has columns {texts}")
         keys = dict(zip(headings, data, strict=True))
         for name in names:
             if name not in headings:
@@ -65,7 +65,7 @@ class Table:
             units |= {name: unit} if (unit := headings[name]) else {}
         sizes = {name: len(x) for name, x in columns.items()}
         if len(set(sizes.values())) > 1:
-            raise InputError("columns", allowed="the same number in all", state=f"have {sizes} rows")
+            raise InputError("columns", allowed="must have the same number in all", state=f"have {sizes} rows")
         return cls(columns, units)
 
     def row(self, index: int) -> str:
@@ -77,7 +77,7 @@ class Table:
         heading = self.units.get(name)
         if unit is not None and heading is not None and unit != heading:
             noun, shown = f"unit of column {name!r}", f"{unit!r}, and its heading says [{heading}]"
-            raise InputError(("columns", name), unit, "one of them", noun=noun, shown=shown)
+            raise InputError(("columns", name), unit, "the same in both", noun=noun, shown=shown)
         unit = unit or heading
         return (1.0, None) if unit is None else UNITS[checked_unit(f"unit of column {name!r}", unit, ("columns", name))]
 
@@ -86,7 +86,7 @@ def checked_unit(what: str, unit: Any, path: Keys = ("unit",)) -> str:
     """The name of a unit; InputError for one that is not known. `what`, `path`: words for it, and the keys to it."""
     plain = str(unit).replace("²", "2").replace("³", "3").replace("·", " ").replace("µ", "u")
     if plain not in UNITS:
-        raise InputError(path, unit, rule=f"is {unit!r}{nearest(unit, UNITS)}", noun=what, shown="")
+        raise unknown(what, unit, UNITS, path)
     return plain
 
 
@@ -125,7 +125,7 @@ def _read(file: Path, names: Sequence[str]) -> Table:
     headings = _headings(texts)
     if len(headings) < len(texts):
         raise InputError(
-            "headings", texts, "each name once", state=f"are {texts}", noun=f"{file.name}, line 1: headings"
+            "headings", texts, "must have each name once", state=f"are {texts}", noun=f"{file.name}, line 1: headings"
         )
     for name in names:
         if name not in headings:
@@ -135,7 +135,9 @@ def _read(file: Path, names: Sequence[str]) -> Table:
     try:
         frame = pd.read_csv(file, dtype=np.float64, keep_default_na=False, na_values=list(GAPS), **options)
     except pd.errors.EmptyDataError:
-        raise InputError(file.name, allowed="a line of names, and a line for each time", state="is empty") from None
+        raise InputError(
+            file.name, allowed="must have a line of names, and a line for each time", state="is empty"
+        ) from None
     except ValueError as error:
         raise (
             _fault(file, separator, texts, places)
@@ -176,7 +178,7 @@ def _fault(file: Path, separator: str, texts: Sequence[str], places: Sequence[in
             if row and len(row) != len(texts):
                 more = " (an empty field is a gap)" if len(row) < len(texts) else ""
                 return wrong_entry(
-                    f"{file.name}, line {rows.line_num}", f"has {len(row)} fields", f"{len(texts)}{more}"
+                    f"{file.name}, line {rows.line_num}", f"has {len(row)} fields", f"must have {len(texts)}{more}"
                 )
             for place in places:
                 if row and not _is_number(row[place].strip()):
@@ -203,11 +205,11 @@ def _numbers(name: str, x: Any) -> np.ndarray:
         numbers = np.asarray(x.detach() if isinstance(x, torch.Tensor) else x)
         result = np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        rule = f"has entries that are not numbers ({error}); allowed: numbers, nan for a gap"
-        raise InputError(("columns", name), rule=rule, noun=f"column {name!r}") from None
+        state, allowed = f"has entries that are not numbers ({error})", "must have numbers, nan for a gap"
+        raise InputError(("columns", name), noun=f"column {name!r}", allowed=allowed, state=state) from None
     if result.ndim != 1 or numbers.dtype.kind not in "fiuO":
-        rule = f"has shape {numbers.shape} of {numbers.dtype}; allowed: one number for each row"
-        raise InputError(("columns", name), rule=rule, noun=f"column {name!r}")
+        state, allowed = f"has shape {numbers.shape} of {numbers.dtype}", "must have one number for each row"
+        raise InputError(("columns", name), noun=f"column {name!r}", allowed=allowed, state=state)
     return _writable(result)
 
 

@@ -99,11 +99,9 @@ class TimeSeries(Measurement):
                 result.samples[name] = s
                 continue
             if not inside.any():
-                rule = (
-                    f"has no sample within the motion, 0 to {duration:g} s, for a delay of {least:g} to {most:g} s; allowed: "
-                    "other bounds of its delay, or another duration"
-                )
-                raise InputError(("channels", name), rule=rule, noun=f"channel {name!r}")
+                state = f"has no sample within the motion, 0 to {duration:g} s, for a delay of {least:g} to {most:g} s"
+                hint = "other bounds of its delay, or another duration"
+                raise InputError(("channels", name), hint=hint, noun=f"channel {name!r}", state=state)
             deviation = None if s.deviation is None else s.deviation[inside]
             result.samples[name] = Samples(s.t[inside], s.y[inside], deviation, int((~inside).sum()))
         return result
@@ -115,8 +113,8 @@ class TimeSeries(Measurement):
             return float(delay), float(delay)
         least, most = limits[key]
         if not np.isfinite([least, most]).all():
-            rule = f"are ({least:g}, {most:g}) s; allowed: finite bounds of a delay"
-            raise InputError(("bounds", key), (least, most), rule=rule, noun=f"bounds of {key}", shown="")
+            state, allowed = f"are ({least:g}, {most:g}) s", "finite"
+            raise InputError(("bounds", key), (least, most), allowed, noun=f"bounds of {key}", state=state)
         return least, most
 
     def predict(self, run: Run, unknowns: Mapping[str, Tensor]) -> Prediction:
@@ -162,11 +160,11 @@ def _times(table: Table, time: str) -> np.ndarray:
     """The column of times in seconds; InputError if they do not increase, with the line."""
     factor, si = table.factor(time, None)
     if si not in (None, "s"):
-        raise InputError("time", time, "s, ms", noun=f"unit of the times {time!r}", shown=f"of [{si}]")
+        raise InputError("time", time, "s or ms", noun=f"unit of the times {time!r}", state=f"is of [{si}]")
     t = table.columns[time] if factor == 1.0 else factor * table.columns[time]
     if not len(t):
         raise InputError(
-            "data", allowed="at least one time", state=f"has no rows{f': {table.file}' if table.file else ''}"
+            "data", allowed="must have at least one time", state=f"has no rows{f': {table.file}' if table.file else ''}"
         )
     wrong = np.flatnonzero(~np.isfinite(t))
     if len(wrong):
@@ -175,10 +173,10 @@ def _times(table: Table, time: str) -> np.ndarray:
     back = np.flatnonzero(np.diff(t) <= 0.0)
     if len(back):
         k = int(back[0]) + 1
-        rule = f"follows {t[k - 1]:.9g} s; allowed: times that increase"
-        raise InputError("time", float(t[k]), rule=rule, noun=f"{table.row(k)}: time {t[k]:.9g} s", shown="")
+        state, allowed = f"follows {t[k - 1]:.9g} s", "later than this"
+        raise InputError("time", float(t[k]), allowed, noun=f"{table.row(k)}: time {t[k]:.9g} s", state=state)
     if t[0] < 0.0:
-        noun, allowed = f"{table.row(0)}: time", "from 0 on, the start of the motion"
+        noun, allowed = f"{table.row(0)}: time", "at or after 0, the start of the motion"
         raise InputError("time", float(t[0]), allowed, noun=noun, shown=f"{t[0]:g} s")
     return t
 
@@ -189,17 +187,20 @@ def _samples(table: Table, t: np.ndarray, name: str, column: str, channel: Chann
     y = channel.si(noun, table, column)
     deviation = channel.deviation
     if isinstance(deviation, np.ndarray) and len(deviation) != len(y):
-        rule = f"has {len(deviation)} values; allowed: {len(y)}, or one for all"
-        raise InputError((*path, "deviation"), deviation, rule=rule, noun=f"deviation of {noun}", shown="")
+        state, allowed = f"has {len(deviation)} values", f"must have {len(y)}, or one for all"
+        raise InputError((*path, "deviation"), deviation, allowed, noun=f"deviation of {noun}", state=state)
     present = np.isfinite(y)
     infinite = np.flatnonzero(np.isinf(y))
     if len(infinite):
         k = int(infinite[0])
-        allowed = "finite numbers, nan for a gap"
+        allowed = "a finite number, or nan for a gap"
         raise InputError(path, float(y[k]), allowed, noun=f"{table.row(k)}: {noun}", shown=f"{y[k]:g}")
     if not present.any():
-        rule = f"has only gaps: every row of column {column!r} is nan; allowed: at least one number"
-        raise InputError(path, rule=rule, noun=noun)
+        state, allowed = (
+            f"has only gaps, because every row of column {column!r} is nan",
+            "must have at least one number",
+        )
+        raise InputError(path, noun=noun, allowed=allowed, state=state)
     spread = None if deviation is None else np.broadcast_to(np.asarray(deviation, dtype=float), y.shape)
     if present.all():
         return Samples(t, y, spread)

@@ -62,7 +62,7 @@ def run_identification(
     """Fit the model and track it; return the exit code. Arguments as in run.run_study."""
     if workers != 1 or scheduler is not None:
         raise InputError(
-            "workers", allowed="torchmbd run without them", state="is one process", noun="workers and scheduler: a fit"
+            "workers", allowed="run without them", state="is one process", noun="workers and scheduler: a fit"
         )
     with ExitStack() as stack:
         fit = _Fit(plan, console, tracker, uri, stack, fresh)

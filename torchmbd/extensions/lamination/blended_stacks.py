@@ -173,7 +173,7 @@ def _check(
 ) -> tuple[bool, dict[str, float]]:
     """Whether stacks are symmetric, and the weight of each zone; InputError for invalid arguments."""
     if not isinstance(laminates, Mapping) or not laminates:
-        raise InputError("laminates", laminates, "LaminationParameters of each zone, by name")
+        raise InputError("laminates", laminates, "a mapping name of a zone -> LaminationParameters")
     weight_of_zone = dict.fromkeys(laminates, 1.0) if areas is None else areas
     for argument, by_name in (("plies", plies), ("areas", weight_of_zone)):
         if not isinstance(by_name, Mapping) or set(by_name) != set(laminates):
@@ -188,7 +188,7 @@ def _check(
         raise InputError(
             "laminates",
             laminates,
-            "one material, because zones share their plies",
+            "must have one material, because zones share their plies",
             state="has zones of different plies",
         )
     symmetric = {laminate.coupling is None for laminate in laminates.values()}
@@ -196,7 +196,7 @@ def _check(
         raise InputError(
             "laminates",
             laminates,
-            "coupling parameters in all zones, or in none",
+            "must have coupling parameters in all zones, or in none",
             state="has zones with coupling parameters and zones without them",
         )
     if symmetric == {True} and len({n % 2 for n in plies.values()}) > 1:

@@ -81,7 +81,7 @@ class LaminationParameters(Laminate):
             raise InputError(
                 "ply",
                 ply,
-                "0, because lamination parameters do not contain the plies",
+                "must have the loss factor 0, because lamination parameters do not contain the plies",
                 noun="ply of LaminationParameters",
                 state=f"has the loss factor {ply.loss!r}",
             )
@@ -91,7 +91,7 @@ class LaminationParameters(Laminate):
             raise InputError(
                 "shear_correction",
                 shear_correction,
-                "0 < shear_correction <= 1",
+                "above 0 and at most 1",
                 noun="LaminationParameters: shear_correction",
                 state=f"= {shear_correction!r}",
             )
@@ -241,7 +241,7 @@ def _four(name: str, values: Sequence | Tensor, field: FiberField | None) -> nn.
         x = nn.Parameter(x.detach().expand(field.controls, 4).clone())
     shape = (4,) if field is None else (field.controls, 4)
     if x.shape != shape:
-        words = "[4]" if field is None else f"[{field.controls} controls, 4]"
+        words = "must have shape [4]" if field is None else f"must have shape [{field.controls} controls, 4]"
         raise InputError(name, x, words, noun=f"{name} of LaminationParameters", state=f"has shape {tuple(x.shape)}")
     return x
 

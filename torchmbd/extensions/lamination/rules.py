@@ -105,7 +105,7 @@ class LaminationRules:
         for k, (a, b) in enumerate(pairwise(plies)):
             if angle_between(a, b) > self.max_step + self.tolerance:
                 step = f"{angle_between(a, b):.4g} degrees between plies {k + 1} and {k + 2} ({a:g}, {b:g})"
-                return [f"{step}; allowed: {self.max_step:g}"]
+                return [f"{step}: must be at most {self.max_step:g}"]
         return []
 
     def _share_errors(self, plies: list[float], h: list[float]) -> list[str]:
@@ -114,7 +114,7 @@ class LaminationRules:
             share = self._thickness_along(angle, plies, h) / sum(h)
             if share < self.min_share - 1e-9:
                 broken.append(
-                    f"{100 * share:.4g} % lie at {angle:g} degrees; allowed: at least {100 * self.min_share:g} %"
+                    f"{100 * share:.4g} % lie at {angle:g} degrees: must be at least {100 * self.min_share:g} %"
                 )
         return broken
 

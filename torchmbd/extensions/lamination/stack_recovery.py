@@ -220,9 +220,9 @@ def checked_angles(angles: Sequence[float]) -> torch.Tensor:
 def check_target(name: str | Path, laminate: object, plies: Any) -> None:
     """InputError unless `laminate` has the parameters of one control, and `plies` is a number of plies."""
     if not isinstance(laminate, LaminationParameters):
-        raise InputError(name, laminate, "LaminationParameters(...)")
+        raise InputError(name, laminate, "a LaminationParameters(...)")
     if laminate.field is not None:
-        raise InputError(name, allowed="LaminationParameters of one control, without a field", state="has a field")
+        raise InputError(name, allowed="a LaminationParameters of one control, without a field", state="has a field")
     if not is_whole(plies) or plies < 1:
         raise InputError("plies", plies, "a whole number >= 1")
 

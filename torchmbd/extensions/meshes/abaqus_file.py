@@ -64,7 +64,7 @@ class AbaqusFile:
         if lines and (self.sections or lines > self.trusses):
             raise InputError(
                 "elements",
-                allowed="triangle, quad, and named edges without a section",
+                allowed="must have triangles, quadrilaterals, and named edges without a section alone",
                 noun="the file",
                 state="has beams, rods or masses",
             )
@@ -77,7 +77,7 @@ class AbaqusFile:
             if name in self._sets:
                 raise InputError(
                     ("ELSET", name),
-                    allowed="in only one of them",
+                    allowed="given in one of them alone",
                     noun=f"ELSET {name!r}",
                     state="is given in *ELEMENT and in *ELSET",
                 )
@@ -88,8 +88,8 @@ class AbaqusFile:
         """Check one file; return whether it has nodes."""
         path, has_nodes, instances = path.resolve(), False, 0
         if path in opened or len(opened) > NESTED:
-            chain = f"*INCLUDE in a circle, or a chain of more than {NESTED} files"
-            raise wrong_entry(path.name, f"{chain}", "neither")
+            state = f"has *INCLUDE in a circle, or a chain of more than {NESTED} files"
+            raise wrong_entry(path.name, state, f"must have a chain of at most {NESTED}")
         with path.open(encoding="utf-8", errors="replace") as file:
             instance = ""
             for number, line in enumerate(file, start=1):
@@ -124,7 +124,10 @@ class AbaqusFile:
                 elif keyword == "NODE":
                     if has_nodes:
                         raise wrong_entry(
-                            where, "*NODE appears twice, or below *INCLUDE with nodes", "once, above it", key="NODE"
+                            where,
+                            "*NODE appears twice, or below *INCLUDE with nodes",
+                            "must appear once, above it",
+                            key="NODE",
                         )
                     has_nodes = True
         return has_nodes
@@ -134,7 +137,7 @@ class AbaqusFile:
         words = [word.partition("=") for word in line.split(",")[1:]]
         options = {key.strip().upper(): value.strip() for key, _, value in words}
         for option in options.keys() - _OPTIONS.get(keyword, options.keys()) - {""}:
-            allowed = ", ".join(sorted(_OPTIONS[keyword]))
+            allowed = f"one of {', '.join(sorted(_OPTIONS[keyword]))}"
             raise wrong_entry(where, f"*{keyword}, {option} is not read", allowed)
         if keyword == "ELEMENT":
             self.elsets.append(options.get("ELSET", ""))
@@ -151,4 +154,4 @@ def _included(path: Path, line: str, where: str) -> Path:
     for file in (Path(name), path.parent / name):
         if name and file.is_file():
             return file
-    raise wrong_entry(where, f"*INCLUDE of {name!r}", "a file that exists")
+    raise wrong_entry(where, f"*INCLUDE of {name!r}", "must name a file that exists")

@@ -92,7 +92,9 @@ def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
     """Convert a meshio.Mesh."""
     points = torch.from_numpy(np.asarray(source.points, dtype=np.float64)) * scale
     if points.ndim != 2 or not 1 <= points.shape[1] <= 3:
-        raise InputError("points", allowed="[n, 2] or [n, 3]", state=f"are an array {list(points.shape)}")
+        raise InputError(
+            "points", allowed="must have shape [n, 2] or [n, 3]", state=f"are an array {list(points.shape)}"
+        )
     points = torch.cat([points, points.new_zeros(len(points), 3 - points.shape[1])], dim=1)
     kinds = {kind: [torch.empty(0, width, dtype=torch.long)] for kind, width in _CELLS.items()}
     owner = {kind: [torch.empty(0, 2, dtype=torch.long)] for kind in _CELLS}  # (block, number in it) of each cell
@@ -103,15 +105,15 @@ def mesh_of(source: Any, scale: float = 1.0) -> MeshFile:
             numbers = torch.arange(len(data))
             owner[cells.type].append(torch.stack([torch.full_like(numbers, block), numbers], dim=1))
         elif cells.type not in _POINTS_AND_CURVES:
-            raise InputError("elements", cells.type, "triangle, quad", noun="element of the mesh")
+            raise InputError("elements", cells.type, ("triangle", "quad"), noun="element of the mesh")
     corners = {kind: torch.cat(parts) for kind, parts in kinds.items()}
     used = torch.unique(torch.cat([nodes.flatten() for nodes in corners.values()]))
     if not len(used):
-        raise InputError("elements", rule="must be triangles or quadrilaterals; the mesh has none")
+        raise InputError("elements", allowed="must have triangles or quadrilaterals")
     if int(used[0]) < 0 or int(used[-1]) >= len(points):
         raise InputError(
             "cells",
-            allowed="nodes of the file",
+            allowed="must have nodes of the file",
             state=f"have the nodes {int(used[0])} to {int(used[-1])} of {len(points)}",
         )
     new_index = torch.full((len(points),), -1, dtype=torch.long)

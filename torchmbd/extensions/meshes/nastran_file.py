@@ -28,16 +28,16 @@ def check_nastran(path: Path) -> None:
     """InputError if meshio would lose the place of a node, an offset, an element, a mass or a tie."""
     for card in read_cards(path):
         if card.name == "GRID" and card.integer(2, "CP", 0):
-            raise _refusal(card, "must be 0, because meshio ignores coordinate systems", "CP", card.text(2))
+            raise _refusal(card, "0, because meshio ignores coordinate systems", "CP", card.text(2))
         if card.name == "GRDSET" and any(card.fields):
-            raise _refusal(card, "must be absent, because meshio ignores defaults of GRID")
+            raise _refusal(card, "left out, because meshio ignores defaults of GRID")
         if card.name in _SHELLS and card.real(_SHELLS[card.name], "ZOFFS", 0.0):
-            raise _refusal(card, "must be 0, because meshio ignores offsets", "ZOFFS", card.text(_SHELLS[card.name]))
+            raise _refusal(card, "0, because meshio ignores offsets", "ZOFFS", card.text(_SHELLS[card.name]))
         if card.name in _SHELLS and (theta := card.text(_SHELLS[card.name] - 1)):
-            raise _refusal(card, "must be blank, because meshio takes it for a node", "THETA", theta)
+            raise _refusal(card, "blank, because meshio takes it for a node", "THETA", theta)
         known = ("GRID", "GRDSET", *_SHELLS, *_SECTIONS, *_SUPPORTS)
         if card.name not in known and not is_inert(card.name):
-            raise _refusal(card, "must be absent, because meshio loses it or a part of it")
+            raise _refusal(card, "left out, because meshio loses it or a part of it")
 
 
 def check_counts(path: Path, source: Any) -> None:
@@ -49,16 +49,16 @@ def check_counts(path: Path, source: Any) -> None:
         raise InputError(
             "path",
             str(path),
-            f"{expected[0]} and {expected[1]}, as in the file and in what it includes",
+            f"must read {expected[0]} and {expected[1]}, as in the file and in what it includes",
             hint=_REMEDY,
             noun="meshio",
             state=f"reads {result[0]} nodes and {result[1]} cells",
         )
 
 
-def _refusal(card: Card, rule: str, field: str = "", text: str = "") -> InputError:
+def _refusal(card: Card, allowed: str, field: str = "", text: str = "") -> InputError:
     path = (str(card), field) if field else (str(card),)
-    return InputError(path, text, rule=rule, hint=_REMEDY, noun=f"{card}: {field}" if field else f"{card}:", shown=text)
+    return InputError(path, text, allowed, _REMEDY, noun=f"{card}: {field}" if field else f"{card}:", shown=text)
 
 
 def is_nastran(path: Path) -> bool:

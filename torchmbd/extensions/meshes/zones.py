@@ -46,7 +46,7 @@ def zone_parts(
         raise InputError(
             "laminate",
             list(laminate),
-            f"one zone for each cell (the mesh has {', '.join(zones)})",
+            f"must lie in one zone each (the mesh has {', '.join(zones)})",
             noun=f"{mesh.cell_name(k)} and {len(wrong) - 1} others",
             state=f"lie in {int(count[k])} of the zones {', '.join(laminate)}",
         )

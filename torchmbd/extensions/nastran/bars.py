@@ -122,7 +122,7 @@ def _axes(bar: Bar, ends: list[np.ndarray], vector: np.ndarray) -> np.ndarray:
         raise wrong_entry(
             bar.card,
             f"its ends are {ends[0].tolist()} and {ends[1].tolist()}, its vector is {vector.tolist()}",
-            "two different ends, and an orientation vector that is not parallel to the bar",
+            "must have two different ends, and an orientation vector that is not parallel to the bar",
             key="X",
         )
     x, z = along / _size(along), z / _size(z)

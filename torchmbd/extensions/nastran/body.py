@@ -71,7 +71,7 @@ def bulk_body(path: str | Path, units: str = "m", mass: str = "lumped", density:
         return _body(path, deck, scale, mass, density)
     except InputError as error:
         name = Path(path).name
-        raise error if name in str(error) else within(name, error) from None
+        raise error if any(name in str(key) for key in error.path) else within(name, error) from None
 
 
 def _body(path: str | Path, deck: Deck, scale: Units, mass: str, density: float | None) -> BulkBody:
@@ -122,16 +122,17 @@ def _check_control(data: BulkData, control: Control | None) -> None:
             raise wrong_entry(
                 card,
                 f"{how} it to mass or stiffness",
-                f"DMIG that none of {', '.join(MATRICES)} chooses (mbd.io.read_matrix reads DMIG)",
+                f"a DMIG that {', '.join(MATRICES)} do not choose",
+                hint="mbd.io.read_matrix, which reads DMIG",
             )
         data.ignored["DMIG that the case control does not add to mass or stiffness"] += 1
     if data.thermal and (control is None or TEMPERATURE in commands):
         how = "gives a temperature" if control else "is missing, and may give a temperature"
-        raise wrong_entry(data.thermal[0], f"the case control {how}", "materials that do not depend on it")
+        raise wrong_entry(data.thermal[0], f"the case control {how}", "must have materials that do not depend on it")
     for card in data.thermal:
         data.ignored[card.name] += 1
     for name in chosen.keys() - data.matrices.keys():
-        raise wrong_entry(chosen[name], f"matrix {name} is chosen, and does not exist", "none")
+        raise wrong_entry(chosen[name], f"matrix {name} is chosen, and does not exist", "a matrix of the file")
 
 
 def _masses(data: BulkData, bulk: BulkMesh, scale: Units) -> PointMasses:

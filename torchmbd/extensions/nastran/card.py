@@ -81,5 +81,5 @@ class Card:
 
 def _integer(card: Card, word: str) -> int:
     if not _INTEGER.fullmatch(word):
-        raise wrong_entry(card, f"{word!r} stands in a list of numbers", "integers and THRU")
+        raise wrong_entry(card, f"{word!r} stands in a list of numbers", "an integer or THRU")
     return int(word)

@@ -114,7 +114,7 @@ def parse_cards(lines: Lines) -> list[Card]:
         if head == "=" or repeats(data):
             made = repeated(cards[-1] if cards else None, data, where)
             if head not in ("=", made.name):
-                raise wrong_entry(where, f"{head} repeats {cards[-1]}", "a card of the same name")
+                raise wrong_entry(where, f"{head} repeats {cards[-1]}", "must repeat a card of the same name")
             name, fields, place, steps = made.name, [*made.fields, *[""] * (len(data) - len(made.fields))], where, data
         else:
             name, fields, place, steps = head.rstrip("*"), data, where, []
@@ -153,12 +153,18 @@ class _Files:
         if file in opened:
             raise wrong_entry(file.name, "INCLUDE runs in a circle", key="INCLUDE")
         if self.files > INCLUDES:
-            raise wrong_entry(file.name, f"more than {INCLUDES} files are included", f"{INCLUDES}", key="INCLUDE")
+            raise wrong_entry(
+                file.name, f"more than {INCLUDES} files are included", f"at most {INCLUDES}", key="INCLUDE"
+            )
         if len(opened) > NESTED:
-            raise wrong_entry(file.name, f"INCLUDE in a chain of more than {NESTED} files", f"{NESTED}", key="INCLUDE")
+            raise wrong_entry(
+                file.name, f"INCLUDE in a chain of more than {NESTED} files", f"at most {NESTED}", key="INCLUDE"
+            )
         if file.stat().st_size > _BYTES * LINES:
             raise InputError(
-                file.name, allowed=f"{LINES} lines, {_BYTES * LINES} bytes", state=f"has {file.stat().st_size} bytes"
+                file.name,
+                allowed=f"must have at most {LINES} lines, {_BYTES * LINES} bytes",
+                state=f"has {file.stat().st_size} bytes",
             )
         self.hash.update(file.read_bytes())
         self.paths.add(file)
@@ -169,7 +175,9 @@ class _Files:
                 where = f"{file.name}, line {number}"
                 if self.lines > LINES or len(raw) >= WIDEST:
                     raise wrong_entry(
-                        where, "the file or the line is too long", f"{LINES} lines of at most {WIDEST} characters"
+                        where,
+                        "the file or the line is too long",
+                        f"must have at most {LINES} lines of at most {WIDEST} characters",
                     )
                 line = raw.partition("$")[0].strip()
                 if not line.upper().startswith("INCLUDE"):
@@ -194,11 +202,11 @@ class _Files:
                 continue
             if is_file and not target.is_relative_to(self.folder):
                 raise wrong_entry(
-                    where, f"INCLUDE of {named!r} is outside of {self.folder}", "a file inside", key="INCLUDE"
+                    where, f"INCLUDE of {named!r} is outside of {self.folder}", "must name a file inside", key="INCLUDE"
                 )
             if is_file:
                 return target
-        raise wrong_entry(where, f"INCLUDE of {named!r}", "a file that exists", key="INCLUDE")
+        raise wrong_entry(where, f"INCLUDE of {named!r}", "must name a file that exists", key="INCLUDE")
 
 
 def _without_comments(lines: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
@@ -221,7 +229,7 @@ def _sections(lines: Lines) -> tuple[Lines | None, Lines]:
     again = [(where, x) for where, x in lines[start:end] if x.upper().split()[:1] == ["BEGIN"]]
     if again:
         where, line = again[0]
-        raise wrong_entry(where, f"{line.strip()!r} begins a superelement", "one section, BEGIN BULK")
+        raise wrong_entry(where, f"{line.strip()!r} begins a superelement", "must have one section, BEGIN BULK")
     return None if begin is None else lines[:begin], lines[start:end]
 
 
@@ -238,14 +246,18 @@ def _split(line: str, where: str) -> tuple[str, list[str], str]:
         beyond = [word for word in words[1 + width :] if word and word[0] not in "+*"]
         if beyond:
             raise wrong_entry(
-                where, f"{beyond[0]!r} is beyond the {width} data fields of a line; continue on the next line"
+                where,
+                f"{beyond[0]!r} is beyond the {width} data fields of a line",
+                hint="a continuation on the next line",
             )
         mark = next((word for word in words[1 + width :] if word), "")
         return head, (words[1:] + [""] * width)[:width], mark.lstrip("+*").upper()
     line = line.expandtabs(8)
     head = re.sub(r" +\*$", "*", line[:8].strip().upper())  # Nastran punches "GRID   *"
     if " " in head and head[0] not in "+*":
-        raise wrong_entry(where, f"{head!r} is not the name of a card; is a field of 8 columns shifted?")
+        raise wrong_entry(
+            where, f"{head!r} is not the name of a card", hint="fields of 8 columns, of which one may be shifted"
+        )
     width, count = (16, 4) if "*" in head else (8, _PER_LINE)
     fields = [line[8 + width * k : 8 + width * (k + 1)].strip() for k in range(count)]
     return head, fields, line[72:80].strip().lstrip("+*").upper()

@@ -223,7 +223,7 @@ class BulkData:
             raise wrong_entry(
                 card,
                 "this card cannot be read, and without it the structure may be another",
-                f"{', '.join(READ)}, and cards without mass, stiffness and support",
+                f"one of {', '.join(READ)}, or a card without mass, stiffness and support",
             )
         elif name not in QUIET:
             self.ignored[name] += 1
@@ -253,10 +253,10 @@ class BulkData:
         if not of_grids and any(points):
             self.ignored[f"{card.name} of scalar points"] += 1
         elif len(of_grids) == 1 and all(points):
-            allowed = "two grids, or scalar points alone"
+            allowed = "must join two grids, or scalar points alone"
             raise wrong_entry(card, f"it joins grid {of_grids[0]} with a scalar point", allowed, key="G1")
         elif card.name in SCALAR_MASSES:
-            raise wrong_entry(card, f"a mass of single components at grids {of_grids}", "CONM2", key="C1")
+            raise wrong_entry(card, f"a mass of single components at grids {of_grids}", "a CONM2", key="C1")
         elif card.name not in ("CROD", "CONROD", "CTUBE") and len(of_grids) == 1:
             self._check_grids(card, tuple(of_grids))
             self.grounded.append(card)
@@ -267,7 +267,10 @@ class BulkData:
         for element in (*self.shells, *self.bars):
             if element.property not in self.properties:
                 raise wrong_entry(
-                    element.card, f"property {element.property} does not exist; a card is missing", key="PID"
+                    element.card,
+                    f"property {element.property} does not exist",
+                    hint="the card of this property",
+                    key="PID",
                 )
             self._check_grids(element.card, element.grids)
         for element in (*self.solids, *self.panels, *self.links):
@@ -292,7 +295,7 @@ class BulkData:
         for grid in grids:
             if grid in self.scalars:
                 raise InputError(
-                    (str(card), str(grid)), allowed="grids", noun=f"{card}: {grid}", state="is a scalar point"
+                    (str(card), str(grid)), allowed="a grid", noun=f"{card}: {grid}", state="is a scalar point"
                 )
             if grid not in self.grids:
                 raise wrong_entry(card, f"GRID {grid} does not exist", key="G")

@@ -44,8 +44,8 @@ class DividedLaminate(Laminate):
             if not float(torch.linalg.eigvalsh(x)[0]) > 0.0:
                 raise InputError(
                     (name,),
-                    allowed="an elastic material",
-                    state=f"is not positive definite: {x.tolist()}",
+                    allowed="the stiffness of an elastic material",
+                    state=f"{x.tolist()} is not positive definite",
                     noun=f"{name} stiffness",
                 )
             self.register_buffer(name, x, persistent=False)
@@ -74,7 +74,7 @@ class DividedLaminate(Laminate):
         """InputError: membrane and bending are those of different materials."""
         raise InputError(
             "laminate",
-            allowed="a stack of plies",
+            allowed="must have a stack of plies",
             noun="a shell whose membrane and bending have materials of their own",
             state="has no plies",
         )

@@ -76,7 +76,7 @@ def read_solid(card: Card) -> Solid:
     corners, nodes = SOLIDS[card.name]
     count = sum(1 for word in card.fields[2 : nodes + 2] if word not in ("", "0"))
     if count not in (corners, nodes):
-        allowed = f"{corners} corners alone, or with all {nodes - corners} nodes on its sides"
+        allowed = f"must have {corners} corners alone, or with all {nodes - corners} nodes on its sides"
         raise wrong_entry(card, f"it has {count} grids", allowed, key="G")
     grids = tuple(card.integer(3 + k, f"G{k + 1}") for k in range(count))
     if len(set(grids)) < count:

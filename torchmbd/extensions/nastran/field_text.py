@@ -26,7 +26,7 @@ def number_text(x: float) -> str:
         text = min(_with_point(x, digits), _with_exponent(x, digits), key=len)
         if len(text) <= WIDTH:
             return text
-    raise InputError("value", x, rule="must have an exponent of at most three digits", noun="a field of a card")
+    raise InputError("value", x, "must have an exponent of at most three digits", noun="a field of a card")
 
 
 def _with_exponent(x: float, digits: int) -> str:

@@ -59,10 +59,10 @@ def ply_of(card: Card, units: Units, weight_to_mass: float = 1.0) -> Ply:
     """Make the ply of a MAT1 or MAT8."""
     try:
         if card.name not in ("MAT1", "MAT8"):
-            raise wrong_entry(card, "it is the material of a shell or a beam", "MAT1, MAT8")
+            raise wrong_entry(card, "it is the material of a shell or a beam", "MAT1 or MAT8")
         return _isotropic(card, units, weight_to_mass) if card.name == "MAT1" else _ply(card, units, weight_to_mass)
     except InputError as error:
-        raise error if str(error).startswith(card.name) else within(card, error) from None
+        raise error if str(error.path[0]).startswith(card.name) else within(card, error) from None
 
 
 def with_density(cards: dict[int, Card], density: float, units: Units, weight_to_mass: float) -> dict[int, Card]:
@@ -81,7 +81,7 @@ def with_density(cards: dict[int, Card], density: float, units: Units, weight_to
 def density_of(card: Card, position: int, units: Units, weight_to_mass: float) -> float:
     density = card.real(position, "RHO", 0.0)
     if density <= 0.0:
-        allowed = "a density > 0, a body needs mass (read_bdf takes one, `density`, for all that lack it)"
+        allowed = "a density > 0, because a body needs mass (read_bdf takes one, `density`, for all that lack it)"
         raise InputError((str(card), "RHO"), card.text(position), allowed, noun=f"{card}: RHO")
     return density * units.density * weight_to_mass
 
@@ -95,7 +95,9 @@ def moduli_of(card: Card) -> tuple[float, float, float]:
     if nu is None and E and G:
         nu = E / (2.0 * G) - 1.0
     if nu is None or not (E or G) or not -1.0 < nu < 0.5:
-        raise wrong_entry(card, f"E {E:g}, G {G:g}, NU {nu}", "two of E, G, NU, the last between -1 and 0.5", key="E")
+        raise wrong_entry(
+            card, f"E {E:g}, G {G:g}, NU {nu}", "must have two of E, G, NU, the last between -1 and 0.5", key="E"
+        )
     E = E or 2.0 * G * (1.0 + nu)
     G = G or E / (2.0 * (1.0 + nu))
     if not (E > 0.0 and G > 0.0):

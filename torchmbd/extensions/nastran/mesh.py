@@ -86,7 +86,10 @@ def _used(data: BulkData) -> list[int]:
     used |= {grid for tied in (*data.rigids, *data.constraints) for grid in tied.grids}
     if not (data.shells or data.bars or data.solids or data.panels or data.links):
         raise InputError(
-            "elements", allowed=f"{', '.join(READ)}", state="has no elements that can be read", noun="the file"
+            "elements",
+            allowed=f"must have at least one of {', '.join(READ)}",
+            state="has no elements that can be read",
+            noun="the file",
         )
     oriented = {bar.card.integer(5, "G0") for bar in data.bars if bar.card.text(5).isdigit()}
     stray = len(data.grids.keys() - used - oriented)

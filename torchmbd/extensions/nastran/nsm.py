@@ -88,7 +88,7 @@ def _chosen(data: BulkData, control: Control | None) -> list[Card]:
         return sets[number]
     missing = [part for part in unions[number].integers(2, sets) if part not in sets]
     if missing or number in sets:
-        raise wrong_entry(unions[number], f"sets {missing or [number]}", "sets of NSM that exist, another number")
+        raise wrong_entry(unions[number], f"sets {missing or [number]}", "sets of NSM that exist, with another number")
     return [card for part in dict.fromkeys(unions[number].integers(2, sets)) for card in sets[part]]
 
 
@@ -147,7 +147,7 @@ def _shares(card: Card, carriers: list[Carrier]) -> Iterator[tuple[Carrier, floa
         if card.name in ("NSML", "NSML1"):
             if len({carrier.kind in _AREAS for carrier in members}) > 1:
                 raise wrong_entry(
-                    card, "its mass is spread over areas and lengths", "either areas or lengths", key="ID"
+                    card, "its mass is spread over areas and lengths", "spread over either areas or lengths", key="ID"
                 )
             value = value / sum(carrier.measure for carrier in members)
         for carrier in members:

@@ -68,7 +68,7 @@ def _panel(data: BulkData, panel: Solid) -> tuple[np.ndarray, float]:
             raise InputError(
                 (str(card), name),
                 factor,
-                f"{name} >= 0, sides > 0",
+                f"must have {name} >= 0, sides > 0",
                 noun=f"{card}: {name}",
                 shown=f"{factor:g}, sides {lengths}",
             )

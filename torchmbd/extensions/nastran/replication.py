@@ -46,7 +46,7 @@ def repeated(before: Card | None, fields: Sequence[str], where: str) -> Card:
     """Return the card that repeats the card `before` with fields of its own."""
     if before is None or len(before.fields) > len(fields):
         text = "no card" if before is None else str(before)
-        raise wrong_entry(where, f"it repeats {text}", "a card of one line above it")
+        raise wrong_entry(where, f"it repeats {text}", "must repeat a card of one line above it")
     words = []
     for k, word in enumerate(fields, start=1):
         if word == "==":

@@ -75,7 +75,7 @@ def read_rigid(card: Card, grids: Collection[int]) -> Rigid:
     else:
         made = _rbe2(card, grids) if card.name == "RBE2" else _rbe3(card)
     if made.grid in made.others:
-        raise wrong_entry(card, f"GRID {made.grid} follows itself", "other grids", key="G")
+        raise wrong_entry(card, f"GRID {made.grid} follows itself", "must follow other grids", key="G")
     return made
 
 
@@ -92,7 +92,7 @@ def read_constraint(card: Card) -> MultipointConstraint:
                 raise wrong_entry(card, f"C{number} is {card.text(start + 1)!r}", "1 to 6", key="C")
             terms.append(Term(card.integer(start, f"G{number}"), component, card.real(start + 2, f"A{number}")))
     if len(terms) < 2:
-        raise wrong_entry(card, f"it has {len(terms)} terms", "at least two, G1 C1 A1 G2 C2 A2", key="G")
+        raise wrong_entry(card, f"it has {len(terms)} terms", "must have at least two, G1 C1 A1 G2 C2 A2", key="G")
     first, others = terms[0], terms[1:]
     if first.factor == 0.0:
         raise InputError(
@@ -104,7 +104,7 @@ def read_constraint(card: Card) -> MultipointConstraint:
         )
     if any(term[:2] == first[:2] for term in others):
         raise wrong_entry(
-            card, f"component {first.component} of GRID {first.grid} appears twice", "it follows once", key="C"
+            card, f"component {first.component} of GRID {first.grid} appears twice", "must follow once", key="C"
         )
     return MultipointConstraint(card, tuple(terms))
 
@@ -114,7 +114,7 @@ def _rbe2(card: Card, grids: Collection[int]) -> Rigid:
     words = [word for word in card.fields[3:] if word and not re.search(r"[.]", word)]
     followers = Card(card.name, (*card.fields[:1], "", "", *words), card.where).integers(4, grids)
     if not followers:
-        raise wrong_entry(card, "no grid follows", "at least one", key="GM")
+        raise wrong_entry(card, "no grid follows", "must have at least one", key="GM")
     return Rigid(card, card.integer(2, "GN"), tuple(followers), (), components)
 
 
@@ -141,7 +141,7 @@ def _rbe3(card: Card) -> Rigid:
             grids.append(card.integer(position, "G"))
             weights.append(weight)
     if not grids:
-        raise wrong_entry(card, "no grids to average", "at least three that span a plane", key="G")
+        raise wrong_entry(card, "no grids to average", "must have at least three that span a plane", key="G")
     if turning:
         warn(f"{card}: C is {turning!r}; torchmbd averages the displacements of these grids, not their rotations")
     return Rigid(card, card.integer(3, "REFGRID"), tuple(grids), tuple(weights), _components(card, 4, "REFC"))
@@ -229,7 +229,7 @@ def _check_links(links: list[tuple[Card, Follower]], grids: dict[int, int]) -> N
                 raise wrong_entry(
                     card,
                     f"GRID {grids[link.node]} follows already by {led[link.node, i]}, in component {i + 1}",
-                    "one card for each degree of freedom",
+                    "must have one card for each degree of freedom",
                     key="G",
                 )
             led[link.node, i] = card
@@ -244,7 +244,7 @@ def _check_links(links: list[tuple[Card, Follower]], grids: dict[int, int]) -> N
         raise wrong_entry(
             ", ".join(cards),
             "their dependent grids form a closed chain",
-            "chains that end at an independent grid",
+            "must form chains that end at an independent grid",
             key="G",
         ) from None
 

@@ -38,7 +38,7 @@ def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
     ply = ply_of(material, units, data.weight_to_mass)
     readers = {"PBAR": _bar, "PBARL": _named_bar, "PBEAM": _beam, "PBEAML": _named_beam}
     if card.name not in readers:
-        raise wrong_entry(card, "this section cannot be read", f"{', '.join(readers)}")
+        raise wrong_entry(card, "this section cannot be read", f"one of {', '.join(readers)}")
     numbers, extra = readers[card.name](card)
     if not numbers.A > 0.0:
         raise InputError((str(card), "A"), numbers.A, "above 0", noun=f"{card}: A", shown=f"{numbers.A:g}")
@@ -97,7 +97,9 @@ def _named_beam(card: Card) -> tuple[SectionNumbers, float]:
     for start in range(9 + len(names), len(card.fields) + 1, step):
         word = card.text(start).upper()
         if word not in (*STATIONS, ""):
-            raise InputError((str(card), "SO"), word, f"{', '.join(STATIONS)}, after each station", noun=f"{card}: SO")
+            raise InputError(
+                (str(card), "SO"), word, f"one of {', '.join(STATIONS)}, after each station", noun=f"{card}: SO"
+            )
         place = _station(card, start + 1)
         stations[place] = [card.real(start + 2 + k, name, first[k]) for k, name in enumerate(names)]
     sections = {
@@ -115,13 +117,13 @@ def _shape(card: Card, kind: str, d: list[float]) -> SectionNumbers:
     try:
         return of_shape(kind, d)
     except ValueError as error:
-        raise wrong_entry(card, f"{kind} of {d}", f"{error}", key="DIM") from None
+        raise wrong_entry(card, f"{kind} of {d}", f"must have {error}", key="DIM") from None
 
 
 def _kind(card: Card, allowed: set[str]) -> str:
     kind = card.text(4).upper()
     if kind not in allowed:
-        raise InputError((str(card), "TYPE"), kind, ", ".join(sorted(allowed)), noun=f"{card}: TYPE")
+        raise InputError((str(card), "TYPE"), kind, sorted(allowed), noun=f"{card}: TYPE")
     return kind
 
 

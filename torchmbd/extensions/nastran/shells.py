@@ -38,15 +38,15 @@ def laminate_of(data: BulkData, card: Card, units: Units, offset: float = 0.0) -
         if card.name in ("PCOMP", "PCOMPG"):
             return _stack(data, card, units, offset)
     except InputError as error:
-        raise error if " (" in str(error).partition(":")[0] else within(card, error) from None
-    raise wrong_entry(card, "it stands for a shell", "PSHELL, PCOMP, PCOMPG")
+        raise error if any(" (" in str(key) for key in error.path) else within(card, error) from None
+    raise wrong_entry(card, "it stands for a shell", "PSHELL, PCOMP or PCOMPG")
 
 
 def _shell(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
     middle, bending, shear = card.integer(2, "MID1", 0), card.integer(4, "MID2", 0), card.integer(6, "MID3", 0)
     if middle < 1 or bending < 0 or card.text(11):
         texts = [card.text(k) for k in (2, 4, 6, 11)]
-        raise wrong_entry(card, f"MID1 to MID4 are {texts}", "MID1, MID2 >= 0, no MID4", key="MID1")
+        raise wrong_entry(card, f"MID1 to MID4 are {texts}", "must have MID1 and MID2 >= 0, and no MID4", key="MID1")
     thickness = card.real(3, "T") * units.length
     solid, ratio = card.real(5, "12I/T**3", 1.0), card.real(7, "TS/T", _SHEAR)
     material = data.material(card, middle)
@@ -111,14 +111,14 @@ def _equivalent(material: Card, Q: Tensor, units: Units, data: BulkData) -> Ply:
 def _stack(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
     kind = card.text(8).upper()
     if kind not in ("", "SYM"):
-        raise InputError((str(card), "LAM"), kind, "blank, SYM", noun=f"{card}: LAM")
+        raise InputError((str(card), "LAM"), kind, "blank or SYM", noun=f"{card}: LAM")
     materials, thicknesses, angles = [], [], []
     for start in ply_places(card):
         materials.append(card.integer(start, "MID", materials[-1] if materials else None))
         thicknesses.append(card.real(start + 1, "T", thicknesses[-1] if thicknesses else None))
         angles.append(card.real(start + 2, "THETA", 0.0))
     if not materials:
-        raise wrong_entry(card, "it has no plies")
+        raise wrong_entry(card, "it has no plies", "must have at least one")
     total = sum(thicknesses) * (2.0 if kind == "SYM" else 1.0)
     if not is_centered(card, total):
         offset = offset + (card.real(2, "Z0") + total / 2.0) * units.length

@@ -67,7 +67,9 @@ def _rod(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
     a, b = (np.array(data.grids[grid]) for grid in link.grids)
     length = float(np.linalg.norm(b - a))
     if not length > 0.0 or not A > 0.0 or J < 0.0:
-        raise wrong_entry(link.card, f"length {length:g}, A {A:g}, J {J:g}", "length and A > 0, J >= 0", key="A")
+        raise wrong_entry(
+            link.card, f"length {length:g}, A {A:g}, J {J:g}", "must have length and A > 0, and J >= 0", key="A"
+        )
     E, G, _ = moduli_of(material)
     e = (b - a) / length
     K = np.zeros((12, 12))
@@ -89,7 +91,10 @@ def _tube_numbers(card: Card) -> tuple[float, float, float]:
     inner = outer - 2.0 * (card.real(4, "T", 0.0) or outer / 2.0)
     if not 0.0 <= inner < outer or card.real(6, "OD2", outer) != outer:
         raise wrong_entry(
-            card, f"OD {outer:g}, T {card.text(4)}, OD2 {card.text(6)!r}", "0 <= T <= OD / 2, OD2 = OD", key="OD"
+            card,
+            f"OD {outer:g}, T {card.text(4)}, OD2 {card.text(6)!r}",
+            "must have 0 <= T <= OD / 2, and OD2 = OD",
+            key="OD",
         )
     A, J = math.pi / 4.0 * (outer**2 - inner**2), math.pi / 32.0 * (outer**4 - inner**4)
     return A, J, card.real(5, "NSM", 0.0)
@@ -119,7 +124,7 @@ def _bushing(data: BulkData, link: Link) -> np.ndarray:
         raise InputError(
             (str(link.card), "S"),
             share,
-            "0 to 1, no OCID",
+            "0 to 1, without an OCID",
             noun=f"{link.card}: S",
             shown=f"{share:g}, OCID {link.card.text(10)!r}",
         )
@@ -137,7 +142,7 @@ def _bushing_stiffness(card: Card) -> list[float]:
     for start in range(2, len(card.fields) + 1, 8):
         if card.text(start).upper() == "K":
             return [card.real(start + 1 + i, f"K{i + 1}", 0.0) for i in range(6)]
-    raise wrong_entry(card, "it has no K", "K, K1 to K6", key="K")
+    raise wrong_entry(card, "it has no K", "must have K, or K1 to K6", key="K")
 
 
 def _bushing_axes(data: BulkData, link: Link, a: np.ndarray, b: np.ndarray, k: list[float]) -> np.ndarray:
@@ -147,7 +152,7 @@ def _bushing_axes(data: BulkData, link: Link, a: np.ndarray, b: np.ndarray, k: l
     along = b - a
     length = float(np.linalg.norm(along))
     if length == 0.0:
-        raise wrong_entry(card, "its grids are at one place", "CID, its system", key="CID")
+        raise wrong_entry(card, "its grids are at one place", "must have CID, its system", key="CID")
     if card.text(5).isdigit():
         grid = card.integer(5, "G0")
         if grid not in data.grids:
@@ -156,7 +161,7 @@ def _bushing_axes(data: BulkData, link: Link, a: np.ndarray, b: np.ndarray, k: l
     else:
         v = np.array([card.real(5 + i, f"X{i + 1}", 0.0) for i in range(3)])
         if not v.any() and any(k[i] for i in (1, 2, 4, 5)):
-            raise wrong_entry(card, "it has no vector, and K2, K3, K5 or K6", "X1 to X3, G0 or CID", key="X")
+            raise wrong_entry(card, "it has no vector, and K2, K3, K5 or K6", "must have X1 to X3, G0 or CID", key="X")
         v = v @ data.displacement_axes(link.grids[0]) if v.any() else np.eye(3)[np.argmin(np.abs(along))]
     z = np.cross(along, v)
     if np.linalg.norm(z) <= 1e-9 * length * np.linalg.norm(v):
@@ -189,7 +194,9 @@ def _oriented_matrices(mesh: Mesh, members: Tensor, D: Tensor, group: list[Solid
     right, mirrored = (volume > 0).all(1), (volume < 0).all(1)
     wrong = (~(right | mirrored)).nonzero()[:, 0]
     if len(wrong):
-        raise wrong_entry(group[int(wrong[0])].card, "it is collapsed or crosses itself", "a volume > 0", key="G")
+        raise wrong_entry(
+            group[int(wrong[0])].card, "it is collapsed or crosses itself", "must have a volume > 0", key="G"
+        )
     sign = 2.0 * right.to(K.dtype) - 1.0
     return K * sign[:, None, None], share * sign[:, None]
 
@@ -207,7 +214,7 @@ def _solid_material(data: BulkData, card: Card, number: int, units: Units) -> tu
     if material.name != "MAT9":
         raise InputError(
             (str(solid), str(material)),
-            allowed="MAT1, MAT9",
+            allowed="MAT1 or MAT9",
             noun=f"{solid}: {material}",
             state="is the material of a solid",
         )
@@ -215,7 +222,7 @@ def _solid_material(data: BulkData, card: Card, number: int, units: Units) -> tu
     D[np.triu_indices(6)] = [material.real(2 + k, "G", 0.0) for k in range(21)]
     D = D + np.triu(D, 1).T
     if not np.linalg.eigvalsh(D)[0] > 0.0:
-        raise wrong_entry(material, "its matrix G is not positive definite", "an elastic material", key="G")
+        raise wrong_entry(material, "its matrix G is not positive definite", "that of an elastic material", key="G")
     system = solid.integer(3, "CORDM", 0)
     if system < 0:
         raise InputError(

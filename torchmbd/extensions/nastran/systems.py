@@ -54,7 +54,9 @@ class Systems:
         x, y, z = axes @ (at - origin)
         r = math.hypot(x, y)
         if r == 0.0:
-            raise wrong_entry(card, f"it lies on the axis of system {number}", "a place with a radius", key="CID")
+            raise wrong_entry(
+                card, f"it lies on the axis of system {number}", "must lie at a place with a radius", key="CID"
+            )
         if kind == "C":
             return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, r]]) / r @ axes
         R = math.hypot(r, z)
@@ -86,12 +88,12 @@ class Systems:
         if number in self._systems:
             return self._systems[number]
         if number not in self._cards:
-            raise wrong_entry(card, f"coordinate system {number} does not exist; a CORD2R card is missing", key="CID")
+            raise wrong_entry(card, f"coordinate system {number} does not exist", hint="a CORD2R card", key="CID")
         if number in opened:
             raise wrong_entry(card, f"coordinate system {number} refers to itself", key="RID")
         if len(opened) > NESTED:
             raise wrong_entry(
-                card, f"systems refer to one another in a chain of more than {NESTED}", f"{NESTED}", key="RID"
+                card, f"systems refer to one another in a chain of more than {NESTED}", f"at most {NESTED}", key="RID"
             )
         definition = self._cards[number]
         origin, up, side = self._points(definition, (*opened, number))

@@ -102,9 +102,9 @@ def _stacks_by_card(bodies: list[FlexibleBody], text: DeckText, deck: str) -> di
     members = [(body, source) for body, source in sources if source.digest == text.digest]
     if not members:
         names = ", ".join(repr(body.name) for body, _ in sources)
-        rule = f"must be the deck of {names} with the contents that were read; it is another one, or was changed since"
-        nothing = "must be a deck from which mbd.io.read_bdf made a body of the design; no body has one"
-        raise InputError("deck", deck, rule=rule if sources else nothing)
+        unchanged = f"the deck of {names}, with the contents that were read"
+        allowed = unchanged if sources else "a deck from which mbd.io.read_bdf made a body of the design"
+        raise InputError("deck", deck, allowed)
     stacks: dict[int, list[_Stack]] = {}
     for body, source in members:
         for part, number in source.properties.items():
@@ -120,9 +120,10 @@ def _changes(text: DeckText, card: Card, stacks: list[_Stack]) -> dict[int, list
         if others != fields[0]:
             raise InputError(
                 (card.name, card.fields[0]),
-                rule=f"is the card of both {stacks[0].name} and {stack.name}: must have the same design in both",
                 hint="links of the problem that make their angles and thicknesses equal",
                 noun=f"{card.name} {card.fields[0]}",
+                allowed="must have the same design in both",
+                state=f"is the card of both {stacks[0].name} and {stack.name}",
             )
     if fields[0] == list(card.fields):
         return {}
@@ -141,9 +142,10 @@ def _continuations(text: DeckText, first: int, card: Card) -> list[int]:
         if kind == "repetition":
             raise InputError(
                 (card.name, card.fields[0]),
-                rule="repeats another card, or another card repeats it (=): must be written out, because its numbers change",
                 hint="a deck whose cards are written out",
                 noun=f"{card.name} {card.fields[0]}",
+                allowed="written out, because its numbers change",
+                state="repeats another card, or another card repeats it (=)",
             )
         if kind == "card" and index > first:
             break
@@ -158,16 +160,19 @@ def _fields(card: Card, stack: _Stack) -> list[str]:
     angles = laminate.angles.detach()
     several = max((x.shape[0] for x in (angles, laminate.thickness) if x.dim() > 1), default=0)
     if several:
-        raise InputError((stack.name,), rule=f"has {several} designs at once: must be one", hint="a single design")
+        raise InputError(
+            (stack.name,), hint="a single design", allowed="must have one", state=f"has {several} designs at once"
+        )
     thickness = laminate.thickness.detach().broadcast_to(angles.shape)
     if card.name == "PSHELL":
         if _direction_matters(laminate):
             turn = math.degrees(float(angles[0]))
             raise InputError(
                 (stack.name, "turn"),
-                rule=f"is turned by {turn:g} degrees: must be 0, because a PSHELL has no angle",
                 hint="a problem without this angle among its variables, or a PCOMP in the deck",
                 noun=f"{stack.name}",
+                allowed="0, because a PSHELL has no angle",
+                state=f"is turned by {turn:g} degrees",
             )
         places, before = [2], torch.tensor([card.real(3, "T")], dtype=torch.float64)
     else:

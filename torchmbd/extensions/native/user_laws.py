@@ -115,7 +115,9 @@ class CallbackLaw(Control):
         if not isinstance(f, Tensor) or f.shape != s.shape or f.dtype != s.dtype:
             shown = f"{f.dtype} {list(f.shape)}" if isinstance(f, Tensor) else repr(f)
             raise InputError(
-                self.label, allowed=f"{s.dtype} {list(s.shape)}", state=f"gives {shown} at t = {float(t):.6g} s"
+                self.label,
+                allowed=f"must give {s.dtype} {list(s.shape)}",
+                state=f"gives {shown} at t = {float(t):.6g} s",
             )
         return f[0]
 

@@ -79,7 +79,7 @@ def robot(
     }
     for key, argument in named.items():
         if argument is not None and not isinstance(argument, Mapping):
-            raise InputError(key, argument, "names -> values")
+            raise InputError(key, argument, "a mapping name -> value")
     names = None if isinstance(locked, str) or not isinstance(locked, Iterable) else list(locked)
     if names is None or not all(isinstance(name, str) for name in names):
         raise InputError("locked", locked, "names of joints")
@@ -115,7 +115,7 @@ class _Builder:
         ):
             for name in keys:
                 if name not in allowed:
-                    raise unknown(f"{key}:", name, allowed, (key, name))
+                    raise unknown(f"name in {key}", name, allowed, (key, name))
         for link, body in self.flexible.items():
             if not isinstance(body, FlexibleBody):
                 raise InputError(("flexible", link), body, "a FlexibleBody", noun=f"flexible[{link!r}]")
@@ -134,7 +134,7 @@ class _Builder:
             if (first := names.setdefault(identifier(joint.name), joint.name)) != joint.name:
                 raise InputError(
                     ("joints", joint.name),
-                    allowed="different names",
+                    allowed="must have different names",
                     state=f"have the same identifier {identifier(joint.name)!r}",
                     noun=f"joints {first!r} and {joint.name!r}",
                 )
@@ -151,9 +151,9 @@ class _Builder:
             if name in followers:
                 raise InputError(
                     ("joints", name),
-                    rule="mimic each other in a loop",
                     hint=f"locked={[name]!r}",
                     noun=f"joints {[*followers, name]}",
+                    state="mimic each other in a loop",
                 )
             if mimic is None or name in visited:
                 return
@@ -161,9 +161,10 @@ class _Builder:
                 if x not in joints or joints[x].kind not in MOVING:
                     raise InputError(
                         ("joints", name),
-                        rule=f"mimics {mimic.joint!r}: both must be revolute, continuous or prismatic",
                         hint=f"locked={[name]!r}",
                         noun=f"joint {name!r}",
+                        state=f"mimics {mimic.joint!r}",
+                        allowed="revolute, continuous or prismatic, as the other joint must be",
                     )
             if mimic.joint:
                 follow(mimic.joint, (*followers, name))
@@ -188,7 +189,7 @@ class _Builder:
             raise InputError(
                 (key, name),
                 value,
-                rule=f"must be {x:g}, because {reason}",
+                f"{x:g}, because {reason}",
                 shown=f"{value:g}",
                 noun=f"{key}[{name!r}]",
                 hint=f"{key} without it",
@@ -220,9 +221,10 @@ class _Builder:
         if beyond:
             raise InputError(
                 "positions",
-                allowed="positions between them, or stop_stiffness=None",
-                state=f"joints start beyond their limits: {'; '.join(beyond.values())}",
-                noun="positions:",
+                allowed="between these",
+                state=f"have joints beyond their limits ({'; '.join(beyond.values())})",
+                noun="positions",
+                hint="stop_stiffness=None",
             )
 
     def _owners(self) -> tuple[dict[str, str], dict[str, Pose]]:
@@ -271,7 +273,7 @@ class _Builder:
         if not mass > 0.0:
             raise InputError(
                 ("links", link),
-                allowed="a positive mass of every moving link",
+                allowed="must have a positive mass, because it moves",
                 state="is fixed to it, has no mass",
                 noun=f"link {link!r}, with what",
             )
@@ -376,10 +378,11 @@ class _Builder:
             raise InputError(
                 str(joint),
                 np.linalg.norm(arm),
-                f"{FAR * size:.3g} m, a mesh in the frame of the link",
+                f"at most {FAR * size:.3g} m away from them",
                 noun=f"joint {joint!r}",
                 state=f"is {np.linalg.norm(arm):.3g} m away from {('its nodes' if named else 'the nearest node')} "
                 f"of {body.name!r}",
+                hint="a mesh in the frame of the link",
             )
         return body.at(joint if named else members[0], axes=pose.axes.tolist(), offset=arm.tolist())
 
@@ -408,7 +411,7 @@ def _physical(link: str, J: np.ndarray, mass: float) -> tuple[np.ndarray, bool]:
     if values[0] < -FLAT * mass - 1e-9 * values[2]:
         raise InputError(
             ("links", link, "inertia"),
-            allowed="no negative value",
+            allowed="must have principal values that are zero or positive",
             state=f"has the principal values {values.tolist()}",
             noun=f"inertia of link {link!r}",
         )

@@ -69,7 +69,7 @@ def actuator_forces(
                 raise InputError(
                     ("controls", actuator.name),
                     control,
-                    f"from {least:g} to {largest:g}",
+                    f"{least:g} to {largest:g}",
                     noun=f"controls[{actuator.name!r}]",
                     shown=f"{control:g}",
                 )

@@ -79,12 +79,14 @@ def _include(file: Path, root: ET.Element) -> None:
                 size += other.stat().st_size
                 if size > LARGEST:
                     raise InputError(
-                        file.name, allowed="fewer", state=f"has more than {LARGEST} bytes with what it includes"
+                        file.name,
+                        allowed="must have fewer",
+                        state=f"has more than {LARGEST} bytes with what it includes",
                     )
                 parent[k : k + 1] = list(read_xml(other, "an MJCF")[1])
         level, depth = [child for parent in level for child in parent], depth + 1
         if depth > DEEPEST:
-            raise InputError(file.name, allowed="fewer", state=f"has more than {DEEPEST} levels of elements")
+            raise InputError(file.name, allowed="must have fewer", state=f"has more than {DEEPEST} levels of elements")
 
 
 class _Reader(Values):
@@ -94,12 +96,12 @@ class _Reader(Values):
         self.links: list[Link] = [Link("world", 0.0, np.zeros(3), np.zeros((3, 3)))]
         self.joints: list[RobotJoint] = []
         if self.root.find("deformable/flex") is not None:
-            raise wrong_entry(self.file, "<flex> is not read", "rigid bodies", key="flex")
+            raise wrong_entry(self.file, "<flex> is not read", "must have rigid bodies alone", key="flex")
         self.count, self.touching = itertools.count(1), False
         for world in self.root.findall("worldbody"):
             self._children(world, "world", IDENTITY, world.get("childclass", "main"))
         if len(self.links) == 1:
-            raise wrong_entry(self.file, "no <body>", "bodies in <worldbody>", key="body")
+            raise wrong_entry(self.file, "no <body>", "must have bodies in <worldbody>", key="body")
         total, total_mass = (
             sum(link.mass for link in self.links),
             self.number(f"{self.file}, compiler", self.compiler, "settotalmass", "-1"),
@@ -134,7 +136,7 @@ class _Reader(Values):
                 frame = pose @ self.pose(f"{self.file}, frame {element.get('name', '')!r}", element.attrib)
                 yield from self._flat(element, frame, element.get("childclass", inherited))
             elif element.tag not in BODY:
-                raise wrong_entry(self.file, f"<{element.tag}> in a body is not read", f"{', '.join(BODY)}")
+                raise wrong_entry(self.file, f"<{element.tag}> in a body is not read", f"one of {', '.join(BODY)}")
             else:
                 yield element, pose, inherited
 
@@ -310,7 +312,7 @@ class _Reader(Values):
             quaternion = self.numbers(where, attributes, "relpose", "0 1 0 0 0 0 0", 7)[3:]
             if element.tag not in ("connect", "weld") or "site1" in attributes or any(quaternion):
                 raise InputError(
-                    str(where), allowed="joint, connect with anchor, weld without relpose", state="is not read"
+                    str(where), allowed="joint, connect with anchor, or weld without relpose", state="is not read"
                 )
             pair = attributes.get("body1", ""), attributes.get("body2", "world")
             for link in pair:
@@ -330,7 +332,7 @@ class _Reader(Values):
             raise InputError(
                 (str(where), "polycoef"),
                 terms,
-                rule="must be linear",
+                "linear",
                 hint="zero for the third number and the following",
                 noun=f"{where}: polycoef",
                 shown=f"{terms}",

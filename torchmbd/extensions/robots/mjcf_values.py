@@ -148,7 +148,9 @@ class Values:
         if switch == "false" or (switch == "auto" and not automatic):
             return None
         if not lower < upper:
-            raise InputError((str(where), key), attributes.get(key), "lower below upper", noun=f"{where}: {key}")
+            raise InputError(
+                (str(where), key), attributes.get(key), "must have lower below upper", noun=f"{where}: {key}"
+            )
         return lower, upper
 
 

@@ -169,7 +169,7 @@ def read_xml(path: str | Path, what: str) -> tuple[Path, ET.Element]:
     if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
         raise InputError("path", str(path), f"{what} file that exists")
     if file.stat().st_size > LARGEST:
-        raise InputError(file.name, allowed=f"{LARGEST}", state=f"has {file.stat().st_size} bytes")
+        raise InputError(file.name, allowed=f"must have at most {LARGEST}", state=f"has {file.stat().st_size} bytes")
     text = file.read_bytes()
     if b"<!DOCTYPE" in text or b"<!ENTITY" in text or b"\x00" in text:
         raise InputError(
@@ -189,13 +189,15 @@ def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJ
             if link not in links:
                 raise unknown(f"{file}, joint {joint.name!r}: link", link, links, (file, "joint", joint.name, "link"))
         if joint.child in parents:
-            raise wrong_entry(file, f"link {joint.child!r} is the child of two joints", "a tree")
+            raise wrong_entry(file, f"link {joint.child!r} is the child of two joints", "must form a tree")
         parents[joint.child] = joint.parent
     roots = [link for link in links if link not in parents]
     if not links:
         raise wrong_entry(file, "no <link>", f"a robot of links{hint}", key="link")
     if len(roots) != 1:
-        raise wrong_entry(file, f"links {roots} have no parent", "one root, all others joined to it", key="link")
+        raise wrong_entry(
+            file, f"links {roots} have no parent", "must have one root, with all others joined to it", key="link"
+        )
     ordered, reached = [], [roots[0]]
     by_parent: dict[str, list[RobotJoint]] = {}
     for joint in joints:
@@ -205,7 +207,9 @@ def robot_tree(file: str, name: str, links: dict[str, Link], joints: list[RobotJ
             ordered.append(joint)
             reached.append(joint.child)
     if len(reached) < len(links):
-        raise wrong_entry(file, f"links {sorted(links.keys() - set(reached))[:8]} form a loop", "a tree", key="link")
+        raise wrong_entry(
+            file, f"links {sorted(links.keys() - set(reached))[:8]} form a loop", "must form a tree", key="link"
+        )
     return Robot(name, links, ordered, roots[0])
 
 
@@ -214,7 +218,12 @@ def by_unique_name(file: str, kind: str, items: Iterable[Any]) -> dict[str, Any]
     entries: dict[str, Any] = {}
     for x in items:
         if x.name in entries:
-            raise InputError((file, kind, x.name), rule="appears twice", noun=f"{file}: {kind} {x.name!r}")
+            raise InputError(
+                (file, kind, x.name),
+                allowed="must appear once",
+                noun=f"{file}: {kind} {x.name!r}",
+                state="appears twice",
+            )
         entries[x.name] = x
     return entries
 

@@ -46,7 +46,12 @@ def urdf_robot(path: str | Path) -> Robot:
         raise wrong_entry(file.name, f"its root is <{root.tag}>", "<robot> (expand a xacro file first)")
     for element in root.iter():
         if "xacro" in element.tag:
-            raise InputError(file.name, allowed="plain URDF (expand a xacro file first)", state=f"has <{element.tag}>")
+            raise InputError(
+                file.name,
+                allowed="plain URDF",
+                state=f"has <{element.tag}>",
+                hint="xacro, which expands the file first",
+            )
     _check_parts(file.name, root)
     links = by_unique_name(file.name, "link", (_link(file.name, element) for element in root.findall("link")))
     joints = by_unique_name(file.name, "joint", (_joint(file.name, element) for element in root.findall("joint")))
@@ -65,7 +70,7 @@ def _check_parts(file: str, root: ET.Element) -> None:
         if twice:
             raise InputError(
                 (file, element.tag, twice[0]),
-                allowed="once",
+                allowed="must appear once",
                 state="appears twice",
                 noun=f"{file}, <{element.tag}> {element.get('name', '')!r}: <{twice[0]}>",
             )
@@ -81,14 +86,18 @@ def _named(file: str, element: ET.Element) -> str:
     name = element.get("name")
     if not name:
         raise InputError(
-            (file, element.tag, "name"), allowed="a name", noun=f"{file}: a <{element.tag}>", state="has no name"
+            (file, element.tag, "name"),
+            allowed="must have a name",
+            noun=f"{file}: a <{element.tag}>",
+            state="has no name",
         )
     if "${" in name or "$(" in name:
         raise InputError(
             (file, element.tag, "name"),
             name,
-            "plain names (expand a xacro file first)",
+            "a plain name",
             noun=f"{file}: name of <{element.tag}>",
+            hint="xacro, which expands the file first",
         )
     return name
 

@@ -55,18 +55,20 @@ class ShellModel:
         if body.given_structure is not None or not body.plates:
             raise InputError(
                 (body.name,),
-                rule="has no shells: must be made of laminates",
                 hint="body.save_matrices",
                 noun=f"body {body.name!r}",
+                allowed="made of laminates",
+                state="has no shells",
             )
         others = body.parts.keys() - body.plates.keys()
         if others or body.links:
             names = ", ".join(sorted(others)) or "rigid or linked nodes"
             raise InputError(
                 (body.name,),
-                rule=f"has {names}: must be made of shells alone",
                 hint="body.save_matrices",
                 noun=f"body {body.name!r}",
+                allowed="made of shells alone",
+                state=f"has {names}",
             )
         mesh = body.mesh
         cells = [*mesh.triangles.tolist(), *mesh.quads.tolist()]
@@ -78,16 +80,18 @@ class ShellModel:
             if bool((stack[members] >= 0).any()):
                 raise InputError(
                     (body.name, name),
-                    rule="shares cells with another part: must have its own",
                     noun=f"part {name!r} of {body.name!r}",
+                    allowed="must have its own",
+                    state="shares cells with another part",
                 )
             stack[members], axes[members] = k, part.matrices.axes.numpy()
             stacks.append(_stack(f"{body.name}.{name}", name, part.laminates[0], materials))
         if bool((stack < 0).any()):
             raise InputError(
                 (body.name,),
-                rule="has cells without a laminate: must have a laminate for each cell",
                 noun=f"body {body.name!r}",
+                allowed="must have a laminate for each cell",
+                state="has cells without a laminate",
             )
         return cls(
             body.name, mesh.nodes.numpy(), cells, stack, axes, stacks, list(materials.values()), list(body.reference)
@@ -98,10 +102,13 @@ def _stack(full_name: str, name: str, laminate: Laminate, materials: dict[Any, P
     """The stack of a laminate; its plies are entered into `materials` by their numbers."""
     if type(laminate) is not Laminate or laminate.field is not None:
         kind = type(laminate).__name__
-        raise InputError((full_name,), rule=f"is a {kind} or varies over the mesh: must be a mbd.Laminate of plies")
+        raise InputError((full_name,), allowed="a mbd.Laminate of plies", state=f"is a {kind} or varies over the mesh")
     if laminate.angles.dim() > 1:
         raise InputError(
-            (full_name,), rule=f"has {laminate.angles.shape[0]} designs at once: must be one", hint="one design"
+            (full_name,),
+            hint="one design",
+            allowed="must have one",
+            state=f"has {laminate.angles.shape[0]} designs at once",
         )
     numbers = []
     for layer in laminate.layer_plies:

@@ -176,4 +176,4 @@ class _Follower:
 
     def _status(self, lost: dict[int, int]) -> str:
         gone = ", ".join(f"vibration {i + 1} from {self.speeds[k]:.4g} rad/s on" for i, k in lost.items())
-        return f"lost: {gone}: no shape is like it; allowed: smaller steps between speeds" if lost else "ok"
+        return f"lost: {gone}: no shape is like it. Try: smaller steps between speeds" if lost else "ok"

@@ -183,9 +183,9 @@ class _Eigenproblem:
                     raise DesignFailure(
                         "number",
                         mode + 1,
-                        _HELD,
+                        hint=_HELD,
                         noun=f"eigenvalue {mode + 1}{where}",
-                        state=f"has no derivative: it is {spectrum.fault[mode]}",
+                        state=f"has no derivative, because it is {spectrum.fault[mode]}",
                     )
             self._refuse_unequal(lane, modes, bars[..., lane])
         bars = self._shared(bars, modes)
@@ -254,9 +254,10 @@ class _Eigenproblem:
         return DesignFailure(
             "number",
             [k + 1 for k in sorted(modes)],
-            "functions symmetric in them, such as SystemFrequency(cluster=...)",
+            "apart for a derivative of a single one",
             noun=f"eigenvalues {numbers}{self._where(lane)}",
-            state=f"coincide at {value:.6g}: a single one has no derivative",
+            state=f"coincide at {value:.6g}",
+            hint="functions symmetric in them, such as SystemFrequency(cluster=...)",
         )
 
     @property

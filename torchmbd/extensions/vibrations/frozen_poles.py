@@ -42,11 +42,14 @@ def frozen_poles(
     4.905
     """
     if not isinstance(motion, Trajectory) or isinstance(motion, Equilibrium):
-        raise InputError("motion", motion, "a motion of mbd.simulate; for an equilibrium use its `poles`")
+        raise InputError("motion", motion, "a motion of mbd.simulate", hint="`poles` of the equilibrium")
     k, states = time_index(motion, time, "motion"), []
     if outside_transforms(lambda q: q.shape[-1], motion.q.movedim(0, -1)) > motion.lanes:
         raise InputError(
-            "motion", motion, "designs as lanes of one motion", state="was simulated under torch.vmap over designs"
+            "motion",
+            motion,
+            "must have designs as lanes of one motion",
+            state="was simulated under torch.vmap over designs",
         )
     for lane in range(motion.require_ok().lanes):
         dynamics = motion.dynamics.select_lanes([lane])

@@ -60,9 +60,10 @@ def largest_response(states: SteadyStates, ports: Ports, row: int, order: int, b
     if is_differentiated(G) and not all_true(G != 0.0):
         raise DesignFailure(
             "output",
-            allowed="an output that the input moves, values in torch.no_grad()",
+            allowed="the response of an output that the input moves",
             noun="a response that is zero",
             state="has no derivative",
+            hint="torch.no_grad(), where a value is enough",
         )
     frequency = torch.tensor([w for w, _ in problem.points], dtype=torch.float64)
     return Largest(G.abs(), frequency, [where for _, where in problem.points])
@@ -139,9 +140,10 @@ def _samples(poles: Tensor, band: tuple[float, float]) -> list[float]:
             raise DesignFailure(
                 "band",
                 band,
-                "damping, or a band without this vibration",
+                "finite",
                 noun="the response",
-                state=f"is infinite: a vibration of {w:.6g} rad/s in the band has no damping",
+                state=f"is infinite, because a vibration of {w:.6g} rad/s in the band has no damping",
+                hint="damping, or a band without this vibration",
             )
         points.append(w)
         w += STEP * float(distance[nearest])

@@ -90,9 +90,10 @@ class MostAlike:
         if not float(likeness[best]) > SURE:
             raise DesignFailure(
                 self.name,
-                allowed=f"follow=False, a cluster, or designs nearer to the start{where}",
-                state=f"is lost: the vibration most like it has a likeness (MAC) of {float(likeness[best]):.2f}, it "
-                "has become a part of several",
+                allowed="like one vibration in every design",
+                state=f"is lost, because it has become a part of several vibrations: the one most like it "
+                f"has a likeness (MAC) of {float(likeness[best]):.2f}",
+                hint=f"follow=False, a cluster, or designs nearer to the start{where}",
             )
         return best
 

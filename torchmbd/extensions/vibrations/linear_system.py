@@ -144,13 +144,16 @@ def linearize(
             raise InputError(
                 "state",
                 list(q.shape[:1]),
-                rule=f"has coordinates {list(q.shape[:1])} that are not those of the system",
-                shown="",
+                f"must have {dynamics.topology.n_q}, those of the system",
+                state=f"has {q.shape[0]} coordinates",
             )
         if isinstance(state, Equilibrium):
             if coordinates is not None:
                 raise InputError(
-                    "coordinates", coordinates, "with a motion", state=f"is {coordinates!r} with an equilibrium"
+                    "coordinates",
+                    coordinates,
+                    "given with a motion alone",
+                    state=f"is {coordinates!r} with an equilibrium",
                 )
             small = _about_rest(dynamics, q, state, lane, k)
         else:
@@ -170,9 +173,9 @@ def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signa
     inputs = list_of("inputs", inputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
     outputs = list_of("outputs", outputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
     if not inputs:
-        raise InputError("inputs", inputs, "at least one actuator", state="is empty")
+        raise InputError("inputs", inputs, "must contain at least one actuator", state="is empty")
     if not outputs:
-        raise InputError("outputs", outputs, "at least one signal", state="is empty")
+        raise InputError("outputs", outputs, "must contain at least one signal", state="is empty")
     if any(isinstance(signal, Time) for signal in outputs):
         raise InputError("outputs", outputs, "signals of the motion", state="contains mbd.signals.Time()")
     return inputs, outputs
@@ -235,8 +238,8 @@ def _about_motion(
             "state",
             state,
             "mbd.simulate(...) of this system, with small steps",
-            state=f"is not a motion of the system: its joints are open by {moving.violation:.2g} m or m/s, its "
-            f"accelerations differ by {float(change):.2g} m/s2 or rad/s2",
+            state=f"is not a motion of the system, because its joints are open by {moving.violation:.2g} m "
+            f"or m/s and its accelerations differ by {float(change):.2g} m/s2 or rad/s2",
         )
     names = [dynamics.topology.rate_name(row) for row in moving.rows]
     factored_inertia(moving.M)  # refuses what moves without a mass

@@ -102,7 +102,7 @@ class PortFunctions:
                     raise InputError(
                         "observer",
                         here,
-                        rule=f"must see {name} {k} in the same direction at every turn, but it "
+                        f"must see {name} {k} in the same direction at every turn, but it "
                         f"{('turns with the machine' if here == 'ground' else 'is one of the ground across the axis')}",
-                        hint=f"observer={there!r}, or a direction along the axis.",
+                        hint=f"observer={there!r}, or a direction along the axis",
                     )

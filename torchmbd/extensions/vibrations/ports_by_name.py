@@ -75,18 +75,18 @@ class NamedPort:
                 raise InputError(
                     argument,
                     self.name,
-                    "revolute and prismatic joints, bodies",
+                    "a revolute or prismatic joint, or a body",
                     shown=f"{self.name!r}, a {type(joint).__name__}",
                 )
             for label, x in ((direction, self.direction), (place, self.place)):
                 if x is not None:
-                    raise InputError(label, x, "with a body", state=f"is {x!r} with joint {self.name!r}")
+                    raise InputError(label, x, "given with a body alone", state=f"is {x!r} with joint {self.name!r}")
             return joint
         bodies = sorted(body.name for body in (*system.bodies, *system.beams))
         if self.name not in bodies:
-            raise InputError(argument, self.name, f"joints {sorted(joints)}, bodies {bodies}")
+            raise InputError(argument, self.name, f"one of the joints {sorted(joints)} or of the bodies {bodies}")
         if self.direction is None:
-            raise InputError(str(direction), allowed="'x', 'y', 'z'", state=f"is None with body {self.name!r}")
+            raise InputError(str(direction), allowed="'x', 'y' or 'z'", state=f"is None with body {self.name!r}")
         body: Any = system.body(self.name)
         at: Any = self.place
         if isinstance(body, RigidBody):

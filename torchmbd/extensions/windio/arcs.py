@@ -52,7 +52,7 @@ class LayerArcs:
         if "width" not in layer or depth > len(self._layers):
             raise InputError(
                 ("layers", name),
-                allowed="start_nd_arc and end_nd_arc, or one of them and width",
+                allowed="must have start_nd_arc and end_nd_arc, or one of them and width",
                 noun=f"layer {name!r}",
                 state=f"has no {side}_nd_arc",
             )
@@ -77,13 +77,11 @@ class AnchorArcs:
         for name, anchor in (*anchors.items(), *(x for known in self._of_webs.values() for x in known.items())):
             for key in (*_HANDLES, *_LENGTHS):
                 if key in anchor and not isinstance(anchor[key], Mapping):
-                    raise InputError(
-                        ("anchors", name, key), anchor[key], rule="must have grid and values, or an anchor"
-                    )
+                    raise InputError(("anchors", name, key), anchor[key], "must have grid and values, or an anchor")
             defines = anchor.get("width", {}).get("defines", [])
             if not isinstance(defines, list):
                 path = ("anchors", name, "width", "defines")
-                raise InputError(path, defines, rule=f"must be a list of {', '.join(_HANDLES)}")
+                raise InputError(path, defines, f"a list of {', '.join(_HANDLES)}")
 
     def web(self, name: str, side: str, position: float, profile: Profile) -> float:
         """Return the position along the contour where a web starts or ends."""
@@ -97,7 +95,7 @@ class AnchorArcs:
         key = f"{side}_nd_arc"
         path = (*owner, key)
         if key not in entry:
-            raise InputError(path, rule="is missing: must refer to an anchor")
+            raise InputError(path, allowed="must refer to an anchor", state="is missing")
         anchor, handle = _reference(path, entry[key])
         return self._handle(path, anchor, handle, position, profile, ())
 
@@ -108,18 +106,18 @@ class AnchorArcs:
         for side, expected in TRAILING_EDGE.items():
             entry = ("layers", name, f"{side}_nd_arc")
             if f"{side}_nd_arc" not in layer:
-                raise InputError(entry, rule=f"is missing: must refer to an anchor of web {layer['web']!r}")
+                raise InputError(entry, allowed=f"must refer to an anchor of web {layer['web']!r}", state="is missing")
             anchor, handle = _reference(entry, layer[f"{side}_nd_arc"])
             if anchor not in anchors:
                 raise unknown((*entry, "anchor"), anchor, anchors)
             if handle not in anchors[anchor]:
-                raise InputError(("webs", layer["web"], "anchors", anchor, handle), rule="is missing")
+                raise InputError(("webs", layer["web"], "anchors", anchor, handle), allowed="given", state="is missing")
             at = span_values(("webs", layer["web"], "anchors", anchor, handle), anchors[anchor][handle])(position)
             if abs(at - expected) > _ROUNDING:
                 raise InputError(
                     entry,
                     at,
-                    rule=f"must be {expected:g} at {position:g}, because a layer covers its whole web",
+                    f"{expected:g} at {position:g}, because a layer covers its whole web",
                     shown=f"{at:g}",
                     hint="a web for each part",
                 )
@@ -137,10 +135,10 @@ class AnchorArcs:
         if name not in self._anchors:
             raise unknown((*owner, "anchor"), name, self._anchors)
         if handle not in _HANDLES:
-            raise InputError((*owner, "handle"), handle, rule=f"must be one of {', '.join(_HANDLES)}")
+            raise InputError((*owner, "handle"), handle, f"one of {', '.join(_HANDLES)}")
         entry = ("anchors", name, handle)
         if (name, handle) in through:
-            raise InputError(entry, rule="refers to itself: must have numbers along the span")
+            raise InputError(entry, allowed="must have numbers along the span", state="refers to itself")
         anchor, through = self._anchors[name], (*through, (name, handle))
 
         def other(reference: Any) -> float:
@@ -164,9 +162,10 @@ class AnchorArcs:
             return profile.off_edge(self._handle(entry, name, beside, position, profile, through)) + _SIGN[side] * share
         raise InputError(
             entry,
-            rule="is missing: must have numbers along the span, or width, offset_arc or offset_nd_arc, because "
-            "plane_intersection is not computed",
             hint="the converter or the optimization tool that writes them",
+            allowed="must have numbers along the span, or width, offset_arc or offset_nd_arc, because "
+            "plane_intersection is not computed",
+            state="is missing",
         )
 
 
@@ -175,5 +174,5 @@ def _reference(owner: Path, entry: Any) -> tuple[str, str]:
     anchor = entry.get("anchor") if isinstance(entry, Mapping) else None
     name, handle = (anchor.get(key) if isinstance(anchor, Mapping) else None for key in ("name", "handle"))
     if not isinstance(name, str) or not isinstance(handle, str):
-        raise InputError(owner, entry, rule="must be an anchor, with name and handle")
+        raise InputError(owner, entry, "an anchor, with name and handle")
     return name, handle

@@ -82,8 +82,8 @@ class WindIOBlade:
         except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise InputError(
                 path.name,
-                allowed="components, airfoils, materials",
-                state=f"is not a windIO blade: {_error_text(error)}",
+                allowed="must have components, airfoils and materials",
+                state=f"is not a windIO blade ({_error_text(error)})",
             ) from None
 
     def contour(self, position: float) -> Array:
@@ -190,7 +190,7 @@ class WindIOBlade:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
-                ("materials", name), allowed="E, G, nu, rho", state=f"has other entries: {error!r}"
+                ("materials", name), allowed="must have E, G, nu and rho", state=f"has other entries ({error!r})"
             ) from None
 
 
@@ -218,7 +218,10 @@ def _loaded(text: str) -> Any:
     opened: list[tuple[str | None, int]] = [(None, 0)]  # (anchor, entries) of the collections around
     if flow.max(initial=0) > BRACKETS:  # the parser's time grows with their square
         raise InputError(
-            "data", allowed="fewer", noun="its data", state=f"have more than {BRACKETS} brackets that are open at once"
+            "data",
+            allowed="must have fewer",
+            noun="its data",
+            state=f"have more than {BRACKETS} brackets that are open at once",
         )
     for event in yaml.parse(text, loader):
         size = 0
@@ -238,7 +241,7 @@ def _loaded(text: str) -> Any:
     else:
         return yaml.load(text, loader if len(set(anchors)) == len(anchors) else _Redefining)
     raise InputError(
-        "data", allowed="fewer", noun="its data", state=f"have more than {NESTED} levels or {ENTRIES} entries"
+        "data", allowed="must have fewer", noun="its data", state=f"have more than {NESTED} levels or {ENTRIES} entries"
     )
 
 
@@ -276,7 +279,7 @@ def _clipped(name: str, position: float, start: float, end: float) -> tuple[floa
     if not start < end:
         raise InputError(
             ("layers", name),
-            allowed="0 to 1",
+            allowed="must lie from 0 to 1",
             noun=f"layer {name!r}",
             state=f"at {position:g} lies from {start:g} to {end:g}, beyond the contour",
         )

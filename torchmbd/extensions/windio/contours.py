@@ -51,14 +51,17 @@ class Contours:
         if thickness is not None:
             self._relative = span_values(("rthick",), thickness)
         elif positions is None:
-            raise InputError("airfoils", rule="have neither spanwise_position nor rthick: must have one of them")
+            raise InputError(
+                "airfoils", allowed="must have one of them", state="have neither spanwise_position nor rthick"
+            )
         steps = np.diff(self._thicknesses)
         if positions is None and not ((steps <= 0.0).all() or (steps >= 0.0).all()):
             raise InputError(
                 "airfoils",
-                rule="have relative thicknesses that rise and fall: must only rise or only fall along the span",
                 hint="spanwise_position",
                 noun="airfoils without spanwise_position",
+                allowed="must only rise or only fall along the span",
+                state="have relative thicknesses that rise and fall",
             )
 
     def __call__(self, position: float) -> Array:
@@ -86,9 +89,9 @@ class Contours:
             raise InputError(
                 "rthick",
                 relative,
-                rule=f"is {relative:g}: must lie between {low.min():g} and {high.max():g}, the range of the airfoils",
-                shown="",
+                f"must lie between {low.min():g} and {high.max():g}, the range of the airfoils",
                 noun=f"rthick at {position:g}",
+                state=f"is {relative:g}",
             )
         near = outside <= outside.min() + _ROUNDING * 1e-6
         if self._grid is None:
@@ -112,7 +115,7 @@ def _resampled(name: str, coordinates: Mapping[str, Any]) -> Array:
     if len(np.unique(points[:, 0])) < 3 or points[:, 0].argmin() in (0, len(points) - 1):
         raise InputError(
             ("airfoils", name, "coordinates"),
-            allowed="from the trailing edge and back",
+            allowed="must run from the trailing edge and back",
             noun=f"coordinates of airfoil {name!r}",
             state="do not run around it",
         )

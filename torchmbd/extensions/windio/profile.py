@@ -131,7 +131,7 @@ def profile_section(
             low, high = profile.from_middle(low), profile.from_middle(high)
             raise InputError(
                 ("webs", web.name),
-                allowed="0 to 1, with its thickness",
+                allowed="must lie from 0 to 1, with its thickness",
                 noun=f"web {web.name!r}",
                 state=f"reaches from {low:.4f} to {high:.4f} of the contour",
             )
@@ -142,7 +142,10 @@ def profile_section(
     if not all(stacks):
         x = float(middles[[len(stack) for stack in stacks].index(0)])
         raise InputError(
-            "layers", allowed="a wall all around", noun="the contour", state=f"has no layer at {x:.4f} of its length"
+            "layers",
+            allowed="must have a wall all around",
+            noun="the contour",
+            state=f"has no layer at {x:.4f} of its length",
         )
     stacks = [_divided(stack, count) for stack in stacks]
     depth = np.array([np.cumsum([0.0, *(t for _, t in stack)]) for stack in stacks])  # [columns, count + 1]
@@ -171,8 +174,7 @@ def _require_room(web: Web, wall: list[Patch], group: list[Patch], order: int) -
             ("webs", web.name),
             allowed="a web from the suction side to the pressure side with a positive height",
             noun=f"web {web.name!r}",
-            state=f"from {web.start:.4f} to {web.end:.4f} of the contour has no room between the walls "
-            f"({str(error).partition(';')[0]})",
+            state=f"from {web.start:.4f} to {web.end:.4f} of the contour has no room between the walls ({error})",
         ) from None
 
 
@@ -273,7 +275,7 @@ def _untangled(s: Array, p: Array, depth: Array, normal: Array) -> Array:
             at = float(s[int(share.argmin())])
             raise InputError(
                 "layers",
-                allowed="thinner layers, fewer cells",
+                allowed="must have thinner layers, or fewer cells",
                 noun=f"the wall at {at:.4f} of the contour",
                 state="crosses itself",
             )
@@ -322,7 +324,7 @@ def _web_patches(web: Web, feet: tuple[Array, Array], s: Array, faces: list[Arra
     except KeyError:
         raise InputError(
             ("webs", web.name),
-            allowed="webs that do not meet",
+            allowed="must not meet another web",
             noun=f"web {web.name!r}",
             state=f"at {web.start:.4f} and {web.end:.4f} of the contour meets other webs there",
         ) from None

@@ -36,14 +36,14 @@ def span_values(path: Path, table: Mapping[str, Any], unit: float = 1.0) -> Span
         grid, values = (np.array(table[key], dtype=float) for key in ("grid", "values"))
     except (KeyError, TypeError, ValueError) as error:
         state = f"has other entries: {error!r}"
-        raise InputError(path, allowed="grid and values, numbers", state=state) from None
+        raise InputError(path, allowed="must have grid and values, with numbers", state=state) from None
     if grid.ndim != 1 or grid.shape != values.shape or len(grid) < 1 or not (np.diff(grid) >= 0.0).all():
         first = np.atleast_1d(grid).tolist()[:5]
         raise InputError(
             path,
-            allowed="a rising grid, and a value for each of its places",
+            allowed="must have a rising grid, and a value for each of its places",
             state=f"has grid {first} and {values.size} values",
         )
     if not (np.isfinite(grid).all() and np.isfinite(values).all()):
-        raise InputError(path, allowed="finite numbers", state="has numbers that are not finite")
+        raise InputError(path, allowed="must have finite numbers", state="has numbers that are not finite")
     return SpanValues(grid, unit * values)

@@ -66,16 +66,17 @@ def entries(data: Mapping[str, Any]) -> Entries:
     version = "1" if stated is None else str(stated).strip()
     number = re.fullmatch(r"(\d+)(?:\.\d+)*", version)
     if isinstance(stated, bool) or number is None or number[1] not in ("1", "2"):
-        raise InputError("windIO_version", stated, rule="must be 1 or 2, such as 2.0")
+        raise InputError("windIO_version", stated, "1 or 2, such as 2.0")
     if stated is None and "outer_shape_bem" not in blade and "outer_shape" in blade:
         raise InputError(
             "windIO_version",
-            rule="is missing: must be 2 where the blade has an outer_shape",
             hint="windIO_version: 2.0",
+            allowed="2 where the blade has an outer_shape",
+            state="is missing",
         )
     for key in _KEYS[number[1]]:
         if key not in blade:
-            raise InputError(("blade", key), rule=f"must be there in version {number[1]} of windIO")
+            raise InputError(("blade", key), allowed=f"given in version {number[1]} of windIO")
     if number[1] == "1":
         return _version_1(data, blade)
     if ".".join(version.split(".")[:2]) not in _MINORS:
@@ -150,9 +151,9 @@ def named(kind: str, items: Any, *keys: str) -> dict[str, Any]:
     for entry in items:
         name = entry["name"]
         if name in by_name:
-            raise InputError((kind, name), rule="must appear once")
+            raise InputError((kind, name), allowed="must appear once")
         for key in keys:
             if key not in entry:
-                raise InputError((kind, name, key), rule="must be there")
+                raise InputError((kind, name, key), allowed="given")
         by_name[name] = entry
     return by_name

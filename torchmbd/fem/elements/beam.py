@@ -213,7 +213,10 @@ class BeamMatrices:
         d, count = reals("orientation", self._orientation), len(self.mesh.elements)
         if d.shape not in ((3,), (count, 3)) or not torch.isfinite(d).all():
             raise InputError(
-                "orientation", d, "[3], or one for each element [m, 3], finite", state=f"has shape {tuple(d.shape)}"
+                "orientation",
+                d,
+                "must have shape [3], or one for each element [m, 3], finite",
+                state=f"has shape {tuple(d.shape)}",
             )
         d = (d if d.ndim == 1 else d[self.members][:, None]).expand_as(e_x)
         e_y = d - (d * e_x).sum(-1, keepdim=True) * e_x
@@ -275,10 +278,10 @@ def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 
         matrix, middle = untransformed(mass).reshape(-1, 6, 6)[wrong], untransformed(center).reshape(-1, 2)[wrong]
         raise InputError(
             ("mass", int(wrong)),
-            allowed="inertias of a plane section. The polar one is the sum of the other two, and all of them are "
-            "positive about the center",
-            state=f"inertias {matrix.diagonal()[3:].tolist()} kg m with its center at {middle.tolist()} m",
-            noun=f"mass of section {int(wrong)}:",
+            allowed="must have inertias of a plane section, positive about the center, with the polar one as "
+            "the sum of the other two",
+            state=f"has the inertias {matrix.diagonal()[3:].tolist()} kg m with its center at {middle.tolist()} m",
+            noun=f"mass of section {int(wrong)}",
         )
     first = (2.0 * yy).sqrt()
     mixed = 2.0 * yz / first

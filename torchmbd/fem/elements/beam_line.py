@@ -128,7 +128,7 @@ class BeamLine:
             raise InputError(
                 "nodes",
                 nodes,
-                "nodes that do not vary, or a line without middles (straight elements)",
+                "constant, or be those of a line without middles (straight elements)",
                 noun="nodes of a BeamLine",
                 state="are design variables, but the line has middles (arcs)",
             )
@@ -142,7 +142,7 @@ class BeamLine:
         if node_sets is None:
             node_sets = {"start": [0], "end": [len(self.nodes) - 1]} if elements is None else {}
         if not isinstance(node_sets, Mapping):
-            raise InputError("node_sets", node_sets, "names -> lists of nodes", noun="node_sets of a BeamLine")
+            raise InputError("node_sets", node_sets, "a mapping name -> list of nodes", noun="node_sets of a BeamLine")
         self.node_sets = {str(name): node_members("BeamLine", name, members) for name, members in node_sets.items()}
         for name, members in self.node_sets.items():
             for k in members:
@@ -150,7 +150,7 @@ class BeamLine:
                     raise InputError(
                         ("node_sets", name),
                         k,
-                        f"0 to {len(self.nodes) - 1}",
+                        f"must have nodes from 0 to {len(self.nodes) - 1}",
                         state=f"has node {k}",
                         noun=f"BeamLine: node_sets[{name!r}]",
                     )
@@ -217,9 +217,9 @@ class BeamLine:
             raise InputError(
                 "node",
                 name,
-                rule=f"has {len(members)} nodes; a single named node is needed",
-                shown="",
+                "must have one node",
                 noun=f"BeamLine: node set {name!r}",
+                state=f"has {len(members)} nodes",
             )
         return members[0]
 
@@ -233,7 +233,11 @@ class BeamLine:
 def _check_nodes(nodes: Tensor) -> None:
     if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
         raise InputError(
-            "nodes", nodes, "[n, 3] with n >= 2", noun="BeamLine: nodes", state=f"has shape {tuple(nodes.shape)}"
+            "nodes",
+            nodes,
+            "must have shape [n, 3] with n >= 2",
+            noun="BeamLine: nodes",
+            state=f"has shape {tuple(nodes.shape)}",
         )
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
@@ -248,9 +252,10 @@ def _check_nodes(nodes: Tensor) -> None:
     for first, k in repeated_rows(nodes.numpy()):
         raise InputError(
             ("nodes", k),
-            rule=f"share one place {nodes[k].tolist()}",
-            hint="merge them",
+            allowed="apart",
+            hint="one node in place of both",
             noun=f"BeamLine: nodes {first} and {k}",
+            state=f"share one place {nodes[k].tolist()}",
         )
 
 
@@ -260,7 +265,7 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
         raise InputError(
             "elements",
             elements,
-            "[m, 2] with m >= 1",
+            "must have shape [m, 2] with m >= 1",
             noun="BeamLine: elements",
             state=f"has shape {tuple(elements.shape)}",
         )
@@ -268,15 +273,16 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
     if len(bad):
         raise InputError(
             ("elements", int(bad[0])),
-            allowed=f"0 to {n - 1}",
+            allowed=f"must have nodes from 0 to {n - 1}",
             state=f"has nodes {elements[bad[0]].tolist()}",
             noun=f"BeamLine: element {int(bad[0])}",
         )
     for first, k in repeated_rows(np.sort(elements.numpy(), axis=1)):
         raise InputError(
             ("elements", k),
-            rule=f"are duplicates, nodes {elements[k].tolist()}",
             noun=f"BeamLine: elements {first} and {k}",
+            allowed="different",
+            state=f"are duplicates, nodes {elements[k].tolist()}",
         )
     length = (nodes[elements[:, 1]] - nodes[elements[:, 0]]).norm(dim=1)
     short = (length <= 1e-9 * length.max()).nonzero().flatten()
@@ -284,9 +290,10 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
         k = int(short[0])
         raise InputError(
             ("elements", k),
-            rule="has no length",
-            hint="merge its nodes",
+            allowed="must have two nodes at two places",
+            hint="one node in place of both",
             noun=f"BeamLine: element {k}, nodes {elements[k].tolist()},",
+            state="has no length",
         )
     tail, head = elements.numpy().T
     parts, stray = connected_parts(tail, head, n)
@@ -304,7 +311,7 @@ def _check_middles(ends: Tensor, middles: Tensor) -> None:
         raise InputError(
             "middles",
             middles,
-            f"finite, [{len(ends)}, 3]",
+            f"must have shape [{len(ends)}, 3], finite",
             noun="BeamLine: middles",
             state=f"has shape {tuple(middles.shape)}",
         )

@@ -151,7 +151,7 @@ class _VaryingEntries:
                 place, other = f"{i + 1},{j + 1}", f"{j + 1},{i + 1}"
                 raise InputError(
                     (label,),
-                    allowed="one variable in both places",
+                    allowed="must have one variable in both places",
                     state=f"is a variable, and entry {other} is not the same variable",
                     noun=f"{label} of a section: entry {place}",
                 )
@@ -194,7 +194,11 @@ class Isotropic:
                 raise InputError(name, value, "a finite number > 0", noun=f"GivenSection: {name}", state=f"= {value!r}")
         if not -1.0 < number(self.nu) <= 0.5:
             raise InputError(
-                "nu", number(self.nu), "-1 < nu <= 0.5", noun="GivenSection: nu", state=f"= {number(self.nu)!r}"
+                "nu",
+                number(self.nu),
+                "above -1 and at most 0.5",
+                noun="GivenSection: nu",
+                state=f"= {number(self.nu)!r}",
             )
         alpha = number(self.alpha)
         if alpha is not None and not (is_real(alpha) and math.isfinite(alpha)):
@@ -247,7 +251,7 @@ def _isotropic_strain(alpha: Any, change: str) -> Float[Tensor, "*lanes 6"]:
         raise InputError(
             missing,
             None,
-            "a number",
+            f"must have {missing}",
             hint="mbd.GivenSection.isotropic(..., alpha=...), or a Section of plies",
             noun=f"{change} acts on a section of given numbers, which",
             state=f"has no {missing}",
@@ -275,8 +279,9 @@ def definite_stiffness(section: BeamSection) -> Float[Tensor, "*lanes 6 6"]:
         where = f" in lane {lane}" * (good.numel() > 1)
         raise InputError(
             "stiffness",
-            rule=f"is not positive definite{where}, so some deformations do not cost energy",
             noun="stiffness of a section",
+            allowed="positive definite",
+            state=f"has deformations that do not cost energy{where}",
         )
     return S
 
@@ -320,7 +325,7 @@ def checked(name: str, matrix: Sequence | Tensor) -> Tensor:
     if not (diagonal > 0).all():
         k = int((~(diagonal > 0)).nonzero()[0])
         raise InputError(
-            (name, k + 1, k + 1), float(diagonal[k]), "> 0", noun=f"{name} of a section: entry {k + 1},{k + 1}"
+            (name, k + 1, k + 1), float(diagonal[k]), "above 0", noun=f"{name} of a section: entry {k + 1},{k + 1}"
         )
     unit = A / (diagonal[:, None] * diagonal).sqrt()
     if float((unit - unit.T).abs().max()) > 1e-6:
@@ -334,6 +339,9 @@ def checked(name: str, matrix: Sequence | Tensor) -> Tensor:
         )
     if not float(torch.linalg.eigvalsh(unit).min()) > 1e-12:
         raise InputError(
-            name, rule="is not positive definite, so some deformations do not cost energy", noun=f"{name} of a section"
+            name,
+            allowed="positive definite",
+            noun=f"{name} of a section",
+            state="has deformations that do not cost energy",
         )
     return (A + A.T) / 2

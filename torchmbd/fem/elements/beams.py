@@ -56,7 +56,10 @@ class Beams:
         count, at, turn = len(mesh.elements), reals("offset", offset), reals("twist", twist)
         if at.shape not in ((2,), (count, 2)):
             raise InputError(
-                "offset", at, f"[2], or one for each element [{count}, 2]", state=f"has shape {tuple(at.shape)}"
+                "offset",
+                at,
+                f"must have shape [2], or one for each element [{count}, 2]",
+                state=f"has shape {tuple(at.shape)}",
             )
         if turn.shape not in ((), (count,), (count, 2)):
             allowed = f"one angle, one for each element [{count}], or two, at its start and end [{count}, 2]"

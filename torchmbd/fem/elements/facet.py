@@ -82,7 +82,10 @@ def cell_directions(mesh: Mesh, direction: Sequence[float] | Tensor) -> Float[Te
     d = reals("direction", direction)
     if d.shape not in ((3,), (mesh.cell_count, 3)):
         raise InputError(
-            "direction", d, f"[3], or one for each cell [{mesh.cell_count}, 3]", state=f"has shape {tuple(d.shape)}"
+            "direction",
+            d,
+            f"must have shape [3], or one for each cell [{mesh.cell_count}, 3]",
+            state=f"has shape {tuple(d.shape)}",
         )
     return d.expand(mesh.cell_count, 3)
 

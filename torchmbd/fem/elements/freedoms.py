@@ -164,7 +164,7 @@ def _following(x: Tensor, mean: MeanMotion, bound: Tensor) -> tuple[Tensor, Tens
         raise InputError(
             "means",
             list(mean.nodes),
-            "nodes that are not on a line",
+            "that of nodes that are not on a line",
             noun=f"the mean motion of nodes {list(mean.nodes)}",
             state="needs rotations, which these nodes do not have",
         )
@@ -185,7 +185,7 @@ def _check_means(held: list[int], links: Sequence[Follower], means: Sequence[Mea
             if k in taken:
                 raise InputError(
                     ("means", k),
-                    allowed="nodes that are neither held nor linked",
+                    allowed="free of supports and links",
                     noun=f"node {k} of a mean motion",
                     state=taken[k],
                 )

@@ -99,7 +99,7 @@ def link_entries(x: Float[Tensor, "n 3"], links: Sequence[Follower]) -> Entries:
         if len(made) > len(links):
             raise InputError(
                 ("links", int(led[~ends][0]) // 6),
-                allowed="chains that end",
+                allowed="must follow by links that end",
                 noun=f"node {int(led[~ends][0]) // 6}",
                 state="follows by links that run in a circle",
             )
@@ -130,15 +130,18 @@ def check_links(n: int, held: list[int], links: Sequence[Follower]) -> None:
         again = [i for i in components if 6 * k + i in taken]
         if again:
             raise InputError(
-                ("links", k), allowed="one link", state="follow by 2 links", noun=f"components {again} of node {k}"
+                ("links", k),
+                allowed="must follow by one link",
+                state="follow by 2 links",
+                noun=f"components {again} of node {k}",
             )
         taken |= {6 * k + i for i in components}
         if k in held:
             raise InputError(
                 ("links", k),
-                rule="must not be held, because it follows other nodes by a link",
                 hint="hold the node that leads it",
                 noun=f"node {k}",
+                allowed="must not be held, because it follows other nodes by a link",
             )
 
 
@@ -173,9 +176,9 @@ def _mean(x: Tensor, link: Average) -> list[tuple[int, Tensor]]:
         raise InputError(
             ("links", link.node),
             list(link.nodes),
-            "nodes that span a plane",
-            noun=f"average at node {link.node}:",
-            state=f"nodes {list(link.nodes)} lie on one line, about which their displacements do not show a rotation",
+            "must span a plane",
+            noun=f"average at node {link.node}: nodes {list(link.nodes)}",
+            state="lie on one line, about which their displacements do not show a rotation",
         )
     inverse = torch.linalg.inv(normal)
     blocks = []

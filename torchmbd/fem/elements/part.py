@@ -133,7 +133,7 @@ class GivenElements:
         """InputError: a matrix of numbers has no stress."""
         raise InputError(
             "parts",
-            allowed="plates and beams",
+            allowed="that of plates and beams",
             state="is not known",
             noun=f"geometric stiffness of {type(self).__name__}",
         )

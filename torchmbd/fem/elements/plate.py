@@ -201,7 +201,9 @@ class PlateMatrices:
     def stiffness(self, entries: Float[Tensor, "*lanes 21"]) -> SparseMatrix:
         """Return K of one laminate or of a batch; of several laminates entries are [*lanes, laminates, 21]."""
         if entries.shape[-1] != len(ENTRIES):
-            raise InputError("entries", entries, f"[..., {len(ENTRIES)}]", state=f"has shape {tuple(entries.shape)}")
+            raise InputError(
+                "entries", entries, f"must have shape [..., {len(ENTRIES)}]", state=f"has shape {tuple(entries.shape)}"
+            )
         return SparseMatrix(self.pattern, self.values(entries))
 
     def moved_mean(self, laminate: Laminate) -> Float[Tensor, "*lanes 3"] | None:

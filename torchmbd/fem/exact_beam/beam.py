@@ -38,9 +38,9 @@ _WHY = {
     "ok": "ok",
     "limit point": "limit point: no equilibrium near the last one beyond {factor:.4f} of the loads",
     "unstable": "unstable: the beam buckles at {factor:.4f} of the loads",
-    "not converged": "not converged: Newton's method ends at {factor:.4f} of the loads; "
-    "allowed: smaller loads, or more elements",
-    "turned too far": "an element turns by more than 2.6 rad beyond {factor:.4f} of the loads; allowed: more elements",
+    "not converged": "not converged: Newton's method ends at {factor:.4f} of the loads. "
+    "Try: smaller loads, or more elements",
+    "turned too far": "an element turns by more than 2.6 rad beyond {factor:.4f} of the loads. Try: more elements",
 }
 
 
@@ -131,7 +131,7 @@ class ExactBeam(nn.Module):
             )
         self.register_buffer("offset", reals((name, "offset"), offset), persistent=False)
         if self.offset.shape not in ((2,), (m, 2)):
-            allowed = f"[2], or one for each element [{m}, 2]"
+            allowed = f"must have shape [2], or one for each element [{m}, 2]"
             raise InputError(
                 (name, "offset"),
                 self.offset,
@@ -278,7 +278,7 @@ class ExactBeam(nn.Module):
             raise InputError(
                 (self.name, "supports"),
                 supports,
-                "at least one free degree of freedom",
+                "must leave at least one free degree of freedom",
                 state="hold all degrees of freedom",
             )
         data, symmetric = beam_data(

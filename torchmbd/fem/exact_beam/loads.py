@@ -54,7 +54,7 @@ def nodal_loads(name: str, line: BeamLine, loads: Loads | None) -> Float[Tensor,
     if loads is None:
         return total
     if not isinstance(loads, Mapping):
-        raise InputError(name, loads, "nodes -> force, or force and moment")
+        raise InputError(name, loads, "a mapping node -> force, or force and moment")
     for where, wrench in loads.items():
         load = read_wrench(f"{name}[{where!r}]", wrench)
         if load.shape != (6,):
@@ -101,7 +101,7 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
     """Return the held degrees of freedom 6 * node + i, and the imposed motions [n, 6]; default: all of "start"."""
     supports = {"start": "all"} if supports is None else supports
     if not isinstance(supports, Mapping) or not supports:
-        raise InputError((name, "supports"), supports, "nodes -> degrees of freedom, at least one")
+        raise InputError((name, "supports"), supports, "a mapping node -> degrees of freedom, with at least one node")
     places: dict[int, float] = {}
     for where, support in supports.items():
         values = _values(f"support {where!r} of {name!r}", support)
@@ -110,7 +110,7 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
                 if x is not None and places.setdefault(6 * node + i, x) != x:
                     raise InputError(
                         (name, "supports"),
-                        allowed="one value",
+                        allowed="must give one value",
                         state=f"give {FREEDOMS[i]} of node {node} two values",
                     )
     imposed = torch.zeros(6 * len(line.nodes), dtype=torch.float64)
@@ -120,7 +120,7 @@ def supported_freedoms(name: str, line: BeamLine, supports: Supports | None) -> 
         if len(turns) == 1 or (len(turns) == 2 and any(turns)):
             raise InputError(
                 (name, "supports", node),
-                allowed="where rotations are finite: none, all three, or two at 0 (a hinge)",
+                allowed="must hold none of them, all three, or two at 0 (a hinge), because rotations are finite",
                 state=f"hold {len(turns)} rotations of node {node}",
                 noun=f"supports of {name!r}",
             )

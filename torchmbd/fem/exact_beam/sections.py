@@ -49,7 +49,7 @@ class SpanSections:
                 raise InputError(
                     (name, "section"),
                     section,
-                    "0-1, 1-2, ...",
+                    "must have a line with the elements 0-1, 1-2, ...",
                     state="is a SectionTable, but its line is not a chain",
                 )
             self.modules: dict[str, nn.Module] = {"section": self._table}
@@ -58,7 +58,7 @@ class SpanSections:
         if len(by_element) != m:
             raise InputError(
                 (name, "section"),
-                allowed="one, or one for each element",
+                allowed="must have one, or one for each element",
                 state=f"has {len(by_element)} sections for {m} elements",
             )
         for x in by_element:
@@ -86,7 +86,7 @@ class SpanSections:
             element, place = int(rule.span[k // count]), float(places[k // count, k % count])
             raise InputError(
                 (self.name, "section"),
-                allowed="a positive definite stiffness",
+                allowed="must have a positive definite stiffness",
                 state=f"at {place:.3g} of its length (element {element}) is not positive definite",
             )
         return matrices
@@ -235,9 +235,10 @@ def element_properties(
         k = int(good.reshape(-1, len(i)).all(0).logical_not().nonzero()[0, 0])
         raise InputError(
             (sections.name, "line"),
-            allowed="more elements",
+            allowed="must turn by less",
             noun=f"element {k} of {sections.name!r}",
             state=f"turns by more than {LARGEST} rad",
+            hint="more elements",
         )
     apart = nodes[..., j, :] - nodes[..., i, :]
     screws = logarithm((first.mT @ apart[..., None])[..., 0], relative)

@@ -103,7 +103,7 @@ def coefficients(plies: Sequence[Any], change: str, owner: str = "laminate") -> 
             raise InputError(
                 missing[0],
                 None,
-                "a number",
+                f"must have {' and '.join(missing)}",
                 hint=f"mbd.Ply(..., {', '.join(f'{name}=...' for name in _COEFFICIENTS[change])})",
                 noun=f"{change} acts on layer {k} of the {owner}, whose ply",
                 state=f"has no {' and no '.join(missing)}",

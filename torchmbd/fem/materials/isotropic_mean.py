@@ -45,7 +45,11 @@ class IsotropicMean:
             return
         if not -1.0 < self.poisson < 1.0:
             raise InputError(
-                "poisson", self.poisson, "-1 < poisson < 1", noun="IsotropicMean: poisson", state=f"= {self.poisson!r}"
+                "poisson",
+                self.poisson,
+                "above -1 and below 1",
+                noun="IsotropicMean: poisson",
+                state=f"= {self.poisson!r}",
             )
         if not 0.0 < self.shear_length < math.inf:
             raise InputError(
@@ -84,7 +88,7 @@ class IsotropicMean:
             if stiffness.A.ndim != 2:
                 raise InputError(
                     "laminate",
-                    allowed="one laminate, [3, 3]",
+                    allowed="must have shape [3, 3], of one laminate",
                     state=f"has shape {tuple(stiffness.A.shape)}",
                     noun="IsotropicMean.of: A",
                 )

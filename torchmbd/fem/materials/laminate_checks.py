@@ -38,8 +38,8 @@ def checked_plies(ply: Lamina | Sequence[Lamina], layers: int) -> list[Lamina]:
             noun = f"Laminate: ply[{k}]"
             raise InputError(("ply", k), p, "a Ply, or one Ply per layer", noun=noun, state=f"= {p!r}")
     if len(plies) != layers:
-        state = f"{len(plies)} plies for {layers} angles"
-        raise InputError("ply", ply, "one Ply, or one per angle", noun="Laminate:", state=state)
+        state = f"has {len(plies)} plies for {layers} angles"
+        raise InputError("ply", ply, "must have one Ply, or one per angle", noun="Laminate", state=state)
     return plies
 
 
@@ -49,15 +49,17 @@ def checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) 
         raise InputError(
             "thickness",
             thickness,
-            "torch.nn.Parameter of one number per angle [layers] [m], which `links` of a problem may keep equal",
+            "a torch.nn.Parameter of one number per angle [layers] [m], which `links` of a problem may keep equal",
             noun="Laminate: thickness",
             state="is one variable",
         )
     if t is not thickness:  # numbers
         t = nn.Parameter(t.detach().repeat(layers) if t.ndim == 0 else t.detach(), requires_grad=False)
     if t.shape != (layers,):
-        state = f"{t.numel()} thicknesses for {layers} angles"
-        raise InputError("thickness", thickness, "one number, or one per angle [m]", noun="Laminate:", state=state)
+        state = f"has {t.numel()} thicknesses for {layers} angles"
+        raise InputError(
+            "thickness", thickness, "must have one number, or one per angle [m]", noun="Laminate", state=state
+        )
     for k, value in enumerate(t.tolist()):
         if not 0.0 < value < float("inf"):
             noun = f"Laminate: thickness[{k}]"
@@ -73,7 +75,7 @@ def checked_correction(value: float | str) -> float | str:
         raise InputError(
             "shear_correction",
             value,
-            "0 < shear_correction <= 1, or the word 'energy'",
+            "above 0 and at most 1, or the word 'energy'",
             noun="Laminate: shear_correction",
             state=f"= {value!r}",
         )

@@ -127,7 +127,7 @@ class Ply(Lamina):
             raise InputError(
                 "nu12",
                 nu12,
-                f"|nu12| < sqrt(E1 / E2) = {limit:.6g}",
+                f"below sqrt(E1 / E2) = {limit:.6g} in magnitude",
                 noun="Ply: nu12",
                 state=f"= {nu12!r} makes the ply stiffness not positive definite",
             )
@@ -232,7 +232,7 @@ def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
         raise InputError(
             "nu",
             ratio,
-            f"-1 < nu <= {most:g}, or mbd.variable(...) of such a number",
+            f"above -1 and at most {most:g}, or mbd.variable(...) of such a number",
             noun=f"{name}: nu",
             state=f"= {ratio!r}",
         )

@@ -76,16 +76,17 @@ def progressive_failure(
     if missing:
         raise InputError(
             "laminate",
-            allowed="Ply(..., strength=Strength(...))",
+            allowed="must have a strength",
             state="has no strength",
             noun=f"the ply of layer {missing[0]}",
+            hint="Ply(..., strength=Strength(...))",
         )
     numbers = torch.stack([strength.numbers() for strength in strengths if strength is not None])[:, None]
     if criterion != "max_stress" and not numbers[..., :5].isfinite().all():
         raise InputError(
             "criterion",
             criterion,
-            allowed=f"finite strengths in the plane for criterion {criterion!r}",
+            allowed=f"must have finite strengths in the plane for criterion {criterion!r}",
             state="has an infinite strength in its plane",
             noun="a ply",
         )

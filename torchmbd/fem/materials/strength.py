@@ -81,7 +81,7 @@ class Strength:
             raise InputError(
                 "interaction",
                 ratio,
-                "-1 < interaction < 1, or mbd.variable(...) of that",
+                "above -1 and below 1, or mbd.variable(...) of such a number",
                 noun="Strength: interaction",
                 state=f"= {ratio!r}",
             )
@@ -174,8 +174,8 @@ class FailureForms:
 
 def missing_strength(body: str) -> InputError:
     """Build the error for a body of which a ply has no strength."""
-    allowed = "Ply(..., strength=Strength(...))"
-    return InputError("body", body, allowed, state="has no strength", noun=f"a ply of body {body!r}")
+    allowed, hint = "must have a strength", "Ply(..., strength=Strength(...))"
+    return InputError("body", body, allowed, hint, state="has no strength", noun=f"a ply of body {body!r}")
 
 
 def required_strength(body: str, numbers: Float[Tensor, "... 8"] | None, criterion: str) -> Float[Tensor, "... 8"]:
@@ -183,6 +183,7 @@ def required_strength(body: str, numbers: Float[Tensor, "... 8"] | None, criteri
     if numbers is None:
         raise missing_strength(body)
     if criterion == "interlaminar" and bool(untransformed(numbers)[..., 5:7].isinf().all(-1).any()):
-        allowed, state = "Strength(..., S13=..., S23=...), or another criterion", "has infinite strengths S13 and S23"
-        raise InputError("criterion", criterion, allowed, state=state, noun=f"{criterion!r}: a ply of body {body!r}")
+        allowed, state = "must have finite strengths", "has infinite strengths S13 and S23"
+        hint, noun = "Strength(..., S13=..., S23=...), or another criterion", f"{criterion!r}: a ply of body {body!r}"
+        raise InputError("criterion", criterion, allowed, hint, state=state, noun=noun)
     return numbers

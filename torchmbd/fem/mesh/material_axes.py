@@ -50,8 +50,8 @@ class MaterialAxes:
             k = int((~good.any(1)).nonzero()[0])
             raise InputError(
                 "direction",
-                rule=f"has no axis in {mesh.cell_name(k)}, center {centers[k].tolist()}: it lies on the axis of the system",
                 hint="a direction for each cell [m, 3]",
+                state=f"has no axis in {mesh.cell_name(k)}, center {centers[k].tolist()}, which lies on the axis of the system",
             )
         first = good.double().argmax(1)
         return axes[torch.arange(len(axes)), first]
@@ -61,9 +61,7 @@ def rule_of(mapping: Mapping[str, Any]) -> MaterialAxes:
     """Return the rule that a mapping names, with its arguments: {"along": {"points": ...}}; InputError for others."""
     rules: dict[str, Callable[..., MaterialAxes]] = {"around": around, "along": along, "in_system": in_system}
     if len(mapping) != 1 or not isinstance(next(iter(mapping.values())), Mapping):
-        raise InputError(
-            "direction", dict(mapping), rule="must be one rule with its arguments, such as around: {axis: ...}"
-        )
+        raise InputError("direction", dict(mapping), "one rule with its arguments, such as around: {axis: ...}")
     [(name, arguments)] = mapping.items()
     if name not in rules:
         raise unknown("direction", name, rules)
@@ -72,7 +70,7 @@ def rule_of(mapping: Mapping[str, Any]) -> MaterialAxes:
             raise InputError(("direction", name, key), key, names, noun=f"argument of {name}")
     first = argument_names(rules[name])[0]  # the others have defaults
     if first not in arguments:
-        raise InputError(("direction", name, first), rule="is missing")
+        raise InputError(("direction", name, first), allowed="given", state="is missing")
     return rules[name](**arguments)
 
 
@@ -88,9 +86,9 @@ def in_system(
     """
     A, center = reals("axes", axes), reals("origin", origin)
     if A.shape != (3, 3) or not torch.allclose(A.mT @ A, torch.eye(3, dtype=A.dtype), atol=1e-6):
-        raise InputError("axes", axes, rule="must be three orthonormal columns [3, 3]")
+        raise InputError("axes", axes, "three orthonormal columns [3, 3]")
     if center.shape != (3,):
-        raise InputError("origin", origin, rule="must be three numbers [m]")
+        raise InputError("origin", origin, "three numbers [m]")
     if kind not in _KINDS:
         raise unknown("kind", kind, list(_KINDS))
     names = _KINDS[kind]
@@ -119,7 +117,7 @@ def around(axis: Sequence[float] | Tensor, point: Sequence[float] | Tensor = (0.
     """
     z = reals("axis", axis)
     if z.shape != (3,) or not float(z.norm()) > 0.0:
-        raise InputError("axis", axis, rule="must be three numbers, not all zero")
+        raise InputError("axis", axis, "three numbers, not all zero")
     z = z / z.norm()
     x = torch.eye(3, dtype=z.dtype)[int(z.abs().argmin())]
     x = torch.nn.functional.normalize(x - (x @ z) * z, dim=0)
@@ -132,8 +130,9 @@ def along(points: Sequence[Sequence[float]] | Tensor) -> MaterialAxes:
     if p.dim() != 2 or p.shape[1:] != (3,) or len(p) < 2 or not bool(((p[1:] - p[:-1]).norm(dim=1) > 0.0).all()):
         raise InputError(
             "points",
-            rule=f"have shape {tuple(p.shape)}: must be [k, 3] with k > 1, no two in sequence equal",
             noun="points of a curve",
+            allowed="must have shape [k, 3] with k > 1, without equal points in sequence",
+            state=f"have shape {tuple(p.shape)}",
         )
 
     def axes_at(x: Tensor, n: Tensor) -> Tensor:

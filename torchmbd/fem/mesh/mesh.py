@@ -79,7 +79,7 @@ class Mesh:
 
     def __post_init__(self) -> None:
         if not isinstance(self.node_sets, Mapping):
-            raise InputError("node_sets", self.node_sets, "names -> lists of nodes", noun="node_sets of a Mesh")
+            raise InputError("node_sets", self.node_sets, "a mapping name -> list of nodes", noun="node_sets of a Mesh")
         sets = {str(name): node_members("Mesh", name, members) for name, members in self.node_sets.items()}
         object.__setattr__(self, "nodes", reals("nodes", self.nodes))
         object.__setattr__(self, "node_sets", sets)
@@ -104,7 +104,7 @@ class Mesh:
             raise InputError(
                 "node",
                 name,
-                allowed="a node set with one node",
+                allowed="must have one node",
                 state=f"has {len(members)} nodes",
                 noun=f"Mesh: node set {name!r}",
             )
@@ -117,7 +117,7 @@ class Mesh:
             shown = names if len(names) <= 30 else difflib.get_close_matches(str(name), names, n=8, cutoff=0.0)
             why = ""
             if f"{name}_edge" in names or name == "center":
-                why = "an even number of cells along the edge: it is odd, and no node is in its middle"
+                why = "an even number of cells along the edge, because an odd one has no node in the middle"
             raise InputError("node", name, shown, hint=why)
         return tuple(self.node_sets[name])
 
@@ -129,14 +129,19 @@ class Mesh:
             raise InputError(
                 "radius",
                 radius,
-                "a radius > 0, and a node or three numbers",
-                state=f"within({radius!r}, {point!r})",
-                noun="Mesh:",
+                "must have a radius > 0, and a node or three numbers",
+                state=f"({radius!r}, {point!r}) has no such place",
+                noun="Mesh.within",
             )
         near = ((self.nodes - place).norm(dim=1) <= radius * (1.0 + 1e-9)).nonzero().flatten()
         if not len(near):
             raise InputError(
-                "radius", radius, "a larger radius", state=f"no node within {radius!r} m of {point!r}", noun="Mesh:"
+                "radius",
+                radius,
+                "must have one",
+                state=f"has no node within {radius!r} m of {point!r}",
+                noun="the mesh",
+                hint="a larger radius",
             )
         return tuple(near.tolist())
 
@@ -162,9 +167,10 @@ class Mesh:
             raise InputError(
                 "edge",
                 (x, y, z),
-                "coordinates [m] of nodes on an edge, or None",
-                state=f"no edge at x={x}, y={y}, z={z}",
-                noun="Mesh:",
+                "must have one",
+                state=f"has no edge at x={x}, y={y}, z={z}",
+                noun="the mesh",
+                hint="coordinates [m] of nodes on an edge, or None",
             )
         return tuple(mask.nonzero().flatten().tolist())
 
@@ -241,5 +247,9 @@ class NodeCloud(Mesh):
             for k in members:
                 if not 0 <= k < len(nodes):
                     raise InputError(
-                        ("node_sets", name), k, f"0 to {len(nodes) - 1}", noun=repr(name), state=f"has node {k}"
+                        ("node_sets", name),
+                        k,
+                        f"must have nodes from 0 to {len(nodes) - 1}",
+                        noun=repr(name),
+                        state=f"has node {k}",
                     )

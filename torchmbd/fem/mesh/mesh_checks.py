@@ -93,7 +93,7 @@ def check(mesh: Cells) -> None:
                 raise InputError(
                     ("node_sets", name),
                     k,
-                    f"0 to {len(mesh.nodes) - 1}",
+                    f"must have nodes from 0 to {len(mesh.nodes) - 1}",
                     state=f"has node {k}",
                     noun=f"Mesh: node_sets[{name!r}]",
                 )
@@ -103,7 +103,11 @@ def _check_nodes(mesh: Cells) -> None:
     nodes = mesh.nodes
     if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
         raise InputError(
-            "nodes", nodes, "[n, 3] with n >= 2", noun="Mesh: nodes", state=f"has shape {tuple(nodes.shape)}"
+            "nodes",
+            nodes,
+            "must have shape [n, 3] with n >= 2",
+            noun="Mesh: nodes",
+            state=f"has shape {tuple(nodes.shape)}",
         )
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
@@ -126,15 +130,16 @@ def _check_nodes(mesh: Cells) -> None:
         if ({k, other} <= plates and frozenset((k, other)) not in joined) or not len(mesh.lines):
             raise InputError(
                 ("nodes", k),
-                rule=f"share one place {nodes[k].tolist()}",
-                hint="merge them",
+                allowed="apart",
+                hint="one node in place of both",
                 noun=f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)}",
+                state=f"share one place {nodes[k].tolist()}",
             )
 
 
-def _refuse(mesh: Cells, k: int, noun: str, fault: str, count: int) -> None:
+def _refuse(mesh: Cells, k: int, noun: str, state: str, allowed: str, count: int) -> None:
     """Raise the InputError of cell k; for a mesh `as_given` warn instead."""
-    error = InputError(("cells", k), rule=fault, noun=f"Mesh: {noun}")
+    error = InputError(("cells", k), allowed=allowed, noun=f"Mesh: {noun}", state=state)
     if not mesh.as_given:
         raise error
     warn(f"{error} ({count} in all); taken as they are")
@@ -144,11 +149,17 @@ def _check_shapes(mesh: Cells) -> None:
     for name, corners, width in (("triangles", mesh.triangles, 3), ("quads", mesh.quads, 4)):
         if corners.ndim != 2 or corners.shape[1] != width:
             raise InputError(
-                (name,), allowed=f"[m, {width}]", state=f"has shape {tuple(corners.shape)}", noun=f"Mesh: {name}"
+                (name,),
+                allowed=f"must have shape [m, {width}]",
+                state=f"has shape {tuple(corners.shape)}",
+                noun=f"Mesh: {name}",
             )
     if mesh.cell_count + len(mesh.lines) == 0:
         raise InputError(
-            "triangles", allowed="at least one", state="has no triangles, no quads and no lines", noun="Mesh: it"
+            "triangles",
+            allowed="must have at least one",
+            state="has no triangles, no quads and no lines",
+            noun="Mesh: it",
         )
 
 
@@ -161,7 +172,7 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
         raise InputError(
             ("cells", start + k),
             corners[k].tolist(),
-            f"0 to {n - 1}",
+            f"must have nodes from 0 to {n - 1}",
             state=f"has nodes {corners[k].tolist()}",
             noun=f"Mesh: {mesh.cell_name(start + k)}",
         )
@@ -174,6 +185,7 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
             start + int(duplicates[0, 1]),
             f"{original} and {copy}",
             f"are duplicates, nodes {nodes}",
+            "different",
             len(duplicates),
         )
     p = mesh.nodes[corners]
@@ -185,15 +197,15 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
     wrong = (~open).nonzero().flatten().tolist()
     if wrong:
         name, nodes = mesh.cell_name(start + wrong[0]), corners[wrong[0]].tolist()
-        state, allowed = "is collapsed, concave or crosses itself", "convex, corners in turn"
+        state, allowed = "is collapsed, concave or crosses itself", "convex, with corners in turn"
         if corners.shape[1] == 3:
-            state, allowed = "is collapsed", "corners that are not on a line"
+            state, allowed = "is collapsed", "must have corners that are not on a line"
         raise InputError(("cells", start + wrong[0]), nodes, allowed, noun=f"Mesh: {name}, nodes {nodes},", state=state)
     wrong = (~flat).nonzero().flatten().tolist()
     if wrong:
         name, nodes = mesh.cell_name(start + wrong[0]), corners[wrong[0]].tolist()
-        fault = "is warped by more than 40 degrees; cut it in two"
-        _refuse(mesh, start + wrong[0], f"{name}, nodes {nodes},", fault, len(wrong))
+        state, allowed = "is warped by more than 40 degrees", "flatter, or cut in two"
+        _refuse(mesh, start + wrong[0], f"{name}, nodes {nodes},", state, allowed, len(wrong))
 
 
 def _check_orphans(mesh: Cells) -> None:
@@ -206,23 +218,26 @@ def _check_orphans(mesh: Cells) -> None:
         names = ", ".join(mesh.node_name(k) for k in orphans[:8])
         raise InputError(
             "nodes",
-            rule=f"belong to no element: {names}",
-            hint="remove them",
+            allowed="nodes of elements",
+            hint="a mesh without them",
             noun=f"Mesh: {len(orphans)} orphan nodes",
+            state=f"belong to no element: {names}",
         )
 
 
 def _check_lines(mesh: Cells) -> None:
     lines, n = mesh.lines, len(mesh.nodes)
     if lines.ndim != 2 or lines.shape[1] != 2:
-        raise InputError("lines", lines, "[k, 2]", noun="Mesh: lines", state=f"has shape {tuple(lines.shape)}")
+        raise InputError(
+            "lines", lines, "must have shape [k, 2]", noun="Mesh: lines", state=f"has shape {tuple(lines.shape)}"
+        )
     bad = ((lines < 0) | (lines >= n)).any(dim=1) | (lines[:, 0] == lines[:, 1])
     if bad.any():
         k = int(bad.nonzero()[0])
         raise InputError(
             ("lines", k),
             lines[k].tolist(),
-            f"two different nodes from 0 to {n - 1}",
+            f"must have two different nodes from 0 to {n - 1}",
             state=f"has nodes {lines[k].tolist()}",
             noun=f"Mesh: line {k}",
         )
@@ -251,7 +266,8 @@ def _check_winding(mesh: Cells) -> None:
             mesh,
             b,
             f"{mesh.cell_name(a)}, nodes {nodes[a]}, and {mesh.cell_name(b)}, nodes {nodes[b]},",
-            "are wound in opposite senses: one of them is inverted",
+            "are wound in opposite senses",
+            "wound in one sense",
             len(wrong),
         )
 

@@ -129,7 +129,7 @@ def parse_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, 
     except ValueError:
         raise InputError(
             "M",
-            allowed="lanes that broadcast",
+            allowed="must have lanes that broadcast",
             state=f"has lanes {tuple(M_lanes)}, and K has {tuple(K_lanes)}",
         ) from None
     K_entry, M_entry = K_values.shape[len(K_lanes) :], M_values.shape[len(M_lanes) :]

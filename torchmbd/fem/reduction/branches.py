@@ -95,7 +95,7 @@ def eigenpair_branches(
     pencil, K, M, lanes = parse_pencil(*matrices(b), n)
     if lanes:
         raise InputError(
-            "matrices", allowed="one design at a time", state=f"has lanes {tuple(lanes)}", noun="matrices(b)"
+            "matrices", allowed="must have one design at a time", state=f"has lanes {tuple(lanes)}", noun="matrices(b)"
         )
 
     def along(t: Tensor) -> tuple[Tensor, Tensor]:

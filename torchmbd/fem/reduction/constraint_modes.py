@@ -60,14 +60,19 @@ def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
     freedoms = tuple(indices("interface", list(interface)).tolist())
     for i in freedoms:
         if not 0 <= i < size:
-            raise InputError("interface", interface, f"0 to {size - 1}", state=f"has the degree of freedom {i}")
+            raise InputError(
+                "interface",
+                interface,
+                f"must have degrees of freedom from 0 to {size - 1}",
+                state=f"has the degree of freedom {i}",
+            )
         if freedoms.count(i) > 1:
-            raise InputError("interface", interface, "each at most once", state=f"has {i} more than once")
+            raise InputError("interface", interface, "must have each at most once", state=f"has {i} more than once")
     if not 0 < len(freedoms) < size:
         raise InputError(
             "interface",
             interface,
-            "at least one, and not all",
+            "must have at least one, and not all",
             state=f"has {len(freedoms)} of {size} degrees of freedom",
         )
     return freedoms
@@ -114,7 +119,7 @@ class Split:
         else:
             values = K[:, self.interior][:, :, self.interior]
             self.solver = Solver(Dense(len(self.interior)), freedoms=self.interior)
-        self.solver.factorize(values, "is not positive definite with the interface held: the rest can move")
+        self.solver.factorize(values, "with the interface held lets the rest move")
 
     def solve(self, F: Tensor) -> Tensor:
         """K_oo^-1 F_o for columns F [lane, T, N, k], with zeros in the interface rows."""

@@ -40,15 +40,23 @@ class CutCluster(InputError):
     """
 
     def __init__(
-        self, path: Path, n: Any, rule: str, hint: str, lanes: tuple[int, ...], beyond: int, noun: str = ""
+        self,
+        path: Path,
+        n: Any,
+        allowed: str,
+        hint: str,
+        lanes: tuple[int, ...],
+        beyond: int,
+        shown: str,
+        noun: str = "",
     ) -> None:
-        super().__init__(path, n, rule=rule, hint=hint, noun=noun or f"{path[-1]} = {n}", shown="")
+        super().__init__(path, n, allowed, hint, noun=noun, shown=shown)
         self.lanes, self.beyond = lanes, beyond
 
     def of_body(self, name: str) -> CutCluster:
         """The error for the modes of a body."""
-        path, noun = (name, "modes"), f"{name!r}: {self._noun}"
-        return CutCluster(path, self.value, self.rule, self.hint, self.lanes, self.beyond, noun)
+        path, noun = (name, "modes"), f"{name!r}: modes"
+        return CutCluster(path, self.value, str(self.allowed), self.hint, self.lanes, self.beyond, self._shown, noun)
 
 
 class Modes(DeflatedSolver, Protocol):
@@ -119,19 +127,17 @@ def cut_error(pencil: Pencil, modes: Modes, n: int, more: int, cluster: float, K
         values = modes.lowest()[0][lane]
         known_ends = ends(known)
         below, beyond = max((e for e in known_ends if e < n), default=0), next((e for e in known_ends if e > n), 0)
-        allowed = [f"n = {end}" for end in (below, beyond) if end]
-        rule = (
-            f"must not cut a cluster{where}: eigenvalues {n} and {n + 1} are {values[n - 1]:.10g} and {values[n]:.10g}, closer "
+        allowed = (
+            f"must not cut a cluster, as eigenvalues {n} and {n + 1} are {values[n - 1]:.10g} and {values[n]:.10g}, closer "
             f"than cluster = {cluster:g} relative"
         )
-        hint = " or ".join(allowed) or "more modes"
-        return CutCluster(("n",), n, rule, hint, tuple(lanes), beyond or len(values), f"n = {n}:")
+        hint = " or ".join(f"n = {end}" for end in (below, beyond) if end) or "more modes"
+        return CutCluster(("n",), n, allowed, hint, tuple(lanes), beyond or len(values), f"{n}{where}")
     while not (further := [end for end in ends(known) if end > n]):
         known = min(2 * known, size)
     beyond = further[0]
-    rule = f"must not divide modes of equal frequency, as modes {n} to {beyond} are"
-    noun = f"modes = {n}{where}:"
-    return CutCluster(("modes",), n, rule, f"modes = {beyond}", tuple(lanes), beyond, noun)
+    allowed = f"must not divide modes of equal frequency, as modes {n} to {beyond} are"
+    return CutCluster(("modes",), n, allowed, f"modes = {beyond}", tuple(lanes), beyond, f"{n}{where}")
 
 
 def _solved(

@@ -78,7 +78,7 @@ from torchmbd.math.vmap import FirstDerivative, apply_as_lanes, batch_first
 UNEQUAL = 1e-4  # of cotangents; less is what distinct eigenvalues of a cluster make of a symmetric function
 NOISE = 1e-9  # relative gap at which rounding enters differences of functions of two eigenvalues by 2e-7
 ASYMMETRY = 1e-13  # of cotangents of a span, by rounding
-_ALLOWED = (
+_REMEDY = (
     "functions of their values alone or of their span alone, spectral_function, modal_basis, eigenpair_branches along "
     "one direction"
 )
@@ -244,7 +244,7 @@ def _refuse(
         labels = near.expand(*X.shape).reshape(-1, *near.shape[-2:])[lane, mode].nonzero().squeeze(-1) + 1
         modes = ", ".join(map(str, labels.tolist()))
         state = f"coincide, and eigenpairs do not have {what}"
-        raise InputError("modes", labels.tolist(), _ALLOWED, noun=f"modes {modes}", state=state)
+        raise InputError("modes", labels.tolist(), hint=_REMEDY, noun=f"modes {modes}", state=state)
     return torch.zeros_like(X)
 
 

@@ -34,12 +34,13 @@ class Indefinite(InputError):
     """
 
     def __init__(self, name: str, lane: str, fault: str, row: int) -> None:
-        super().__init__(name, rule=f"{fault}; row {row} moves most", noun=f"{name}{lane}")
+        allowed, state = "positive definite", f"{fault}, and row {row} moves most"
+        super().__init__(name, allowed=allowed, noun=f"{name}{lane}", state=state)
         self.fault, self.row = f"{name}{lane} {fault}", row
 
 
 #: The fault of a mass.
-NO_INERTIA = "is not positive definite: something can move without inertia, or against it"
+NO_INERTIA = "lets something move without inertia, or against it"
 
 
 class IndefiniteLane(Exception):
@@ -164,12 +165,12 @@ def recognize(name: str, matrix: Tensor | SparseMatrix, size: int | None = None)
     else:
         diagonal = "" if size is None else f" or [..., {size}] (a diagonal)"
         needed = "[..., N, N]" if size is None else f"[..., {size}, {size}]"
-        allowed, state = f"{needed}{diagonal} or a SparseMatrix", f"has shape {tuple(matrix.shape)}"
+        allowed, state = f"must have shape {needed}{diagonal}, or be a SparseMatrix", f"has shape {tuple(matrix.shape)}"
         raise InputError(name, allowed=allowed, state=state)
     if size is not None and form.size != size:
-        raise InputError(name, allowed=f"{size}, the number of rows of K", state=f"has {form.size} rows")
+        raise InputError(name, allowed=f"must have {size}, the number of rows of K", state=f"has {form.size} rows")
     if values.dtype != torch.float64:
-        raise InputError(name, allowed="torch.float64", state=f"has dtype {values.dtype}")
+        raise InputError(name, allowed="must have dtype torch.float64", state=f"has dtype {values.dtype}")
     return form, values
 
 
@@ -205,9 +206,7 @@ def check_positive_diagonal(form: Form, values: Tensor) -> None:
         lane, row = (int(i) for i in wrong.nonzero()[0])
         value = diagonal[lane, row].item()
         place = f"M[{row}, {row}]{lane_name(lane, len(values))}"
-        raise InputError(
-            "M", value, "positive entries, because M is positive definite", noun=place, shown=f"{value:.3g}"
-        )
+        raise InputError("M", value, "positive, because M is positive definite", noun=place, shown=f"{value:.3g}")
 
 
 def lane_name(lane: int, lanes: int) -> str:

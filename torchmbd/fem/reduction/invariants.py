@@ -49,7 +49,7 @@ def modal_invariants(x: Tensor, mass: Tensor, rotary: Tensor, psi: Tensor) -> tu
         shapes = ", ".join(str(tuple(a.shape)) for a in (x, mass, rotary, psi))
         raise InputError(
             "x",
-            allowed="[..., n, 3], [..., n], [..., n], [..., n, 6, m]",
+            allowed="must have shapes [..., n, 3], [..., n], [..., n], [..., n, 6, m]",
             state=f"have shapes {shapes}",
             noun="x, mass, rotary, psi",
         )

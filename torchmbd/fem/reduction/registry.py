@@ -47,7 +47,7 @@ class VibrationModes:
 
     def __post_init__(self) -> None:
         if self.interface:
-            raise InputError("interface", allowed="none with reduction 'vibration'", state="is given")
+            raise InputError("interface", allowed="left out with reduction 'vibration'", state="is given")
 
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
         return _with_shapes(self, K, M, lambda K, M, updated: modal_basis(K, M, self.n, updated=updated, more=MORE))
@@ -74,7 +74,9 @@ class CraigBampton:
 
     def __post_init__(self) -> None:
         if not self.interface:
-            raise InputError("interface", allowed="at least one node with reduction 'craig-bampton'", state="is empty")
+            raise InputError(
+                "interface", allowed="must have at least one node with reduction 'craig-bampton'", state="is empty"
+            )
 
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
         def reduce(K: Matrix, M: Matrix, updated: bool) -> ModalBasis:

@@ -42,7 +42,7 @@ def choose_shift(
         if size > 1e6:
             lane = int((~(pivot > SAFE_PIVOT)).nonzero()[0])
             where = lane_name(lane, len(scale))
-            state = f"is not positive definite: K - sigma M stays indefinite down to {shift[lane]:.3g}"
+            state = f"leaves K - sigma M indefinite down to {shift[lane]:.3g}"
             raise InputError("M", allowed="a positive definite matrix", noun=f"M{where}", state=state)
         shift = torch.where(pivot > SAFE_PIVOT, shift, -size * scale)
         size *= 10

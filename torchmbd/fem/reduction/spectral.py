@@ -89,6 +89,8 @@ def _applied(g: Callable[[Tensor], Tensor], values: Tensor) -> Tensor:
     if not isinstance(result, Tensor) or result.shape != values.shape or result.dtype != values.dtype:
         kind = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)
         raise InputError(
-            "g", allowed=f"float64 of shape {tuple(values.shape)}, the shape of its argument", state=f"returned {kind}"
+            "g",
+            allowed=f"must return float64 of shape {tuple(values.shape)}, the shape of its argument",
+            state=f"returned {kind}",
         )
     return result

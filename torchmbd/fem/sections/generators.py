@@ -58,7 +58,7 @@ def check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
     counts = {name: count_of_layers(angles[name]) if name in angles else 0 for name in names}
     if len(set(counts.values())) > 1 or 0 in counts.values():
         raise InputError(
-            "angles", angles, f"the same number of plies in {', '.join(names)}", state=f"have {counts} plies"
+            "angles", angles, f"must have the same number of plies in {', '.join(names)}", state=f"have {counts} plies"
         )
 
 
@@ -182,8 +182,10 @@ def box(
     total = checked_thicknesses(thickness, layers).sum()
     if not 2 * total < min(number(width), number(height)):
         sizes = f"{number(width):g} m x {number(height):g} m"
-        state = f"walls of {total:g} m in {sizes}"
-        raise InputError("thickness", thickness, "walls of less than half of both dimensions", noun="box:", state=state)
+        state = f"has walls of {total:g} m in {sizes}"
+        raise InputError(
+            "thickness", thickness, "must have walls of less than half of both dimensions", noun="box", state=state
+        )
     shared = not isinstance(angles, Mapping)
 
     def build(width: Any, height: Any, thickness: Any) -> list[Patch]:
@@ -228,7 +230,7 @@ def tube(
     layers = count_of_layers(angles)
     total = checked_thicknesses(thickness, layers).sum()
     if not total < number(radius):
-        state = f"{total:g} m of radius {number(radius):g} m"
+        state = f"is {total:g} m of radius {number(radius):g} m"
         raise InputError("thickness", thickness, "less than the radius", noun="tube: thickness", state=state)
     around = line(math.pi / 2, -1.5 * math.pi, cells[0], order)  # clockwise from the top
     directions = np.stack([np.cos(around), np.sin(around)], axis=-1)
@@ -309,7 +311,7 @@ def i_section(
     if not (2 * total < number(height) and total < number(width)):
         sizes = f"{number(width):g} m x {number(height):g} m"
         noun = f"i_section: walls of {total:g} m"
-        raise InputError("thickness", thickness, rule=f"do not fit into {sizes}", noun=noun, shown="")
+        raise InputError("thickness", thickness, "thinner", noun=noun, state=f"do not fit into {sizes}")
 
     def build(width: Any, height: Any, thickness: Any) -> list[Patch]:
         t = np.broadcast_to(thickness, layers)

@@ -65,7 +65,7 @@ class SectionGeometry:
         if not all_true((result.weight >= 0.0).flatten()):
             raise InputError(
                 "dimensions",
-                allowed="walls that fit into the section",
+                allowed="must have walls that fit into the section",
                 state="turn an element inside out",
                 noun="dimensions of a section",
             )

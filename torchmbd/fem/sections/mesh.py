@@ -74,7 +74,7 @@ class SectionMesh:
             raise InputError(
                 "nodes",
                 self.nodes,
-                "[n, 2] with n >= 3",
+                "must have shape [n, 2] with n >= 3",
                 noun="SectionMesh: nodes",
                 state=f"has shape {tuple(self.nodes.shape)}",
             )
@@ -88,7 +88,11 @@ class SectionMesh:
             )
         for first, k in repeated_rows(self.nodes.numpy()):
             raise InputError(
-                ("nodes", k), rule="share one place", hint="merge them", noun=f"SectionMesh: nodes {first} and {k}"
+                ("nodes", k),
+                allowed="apart",
+                hint="one node in place of both",
+                noun=f"SectionMesh: nodes {first} and {k}",
+                state="share one place",
             )
         if self.plane_angle is not None and not torch.isfinite(self.plane_angle).all():
             raise InputError(
@@ -99,7 +103,11 @@ class SectionMesh:
             )
         if self.layer.min() < 0:
             raise InputError(
-                "layer", int(self.layer.min()), "0 and up", state=f"layer {int(self.layer.min())}", noun="SectionMesh:"
+                "layer",
+                int(self.layer.min()),
+                "must have layers from 0 up",
+                state=f"has layer {int(self.layer.min())}",
+                noun="SectionMesh",
             )
 
     def _check_elements(self) -> None:
@@ -109,9 +117,9 @@ class SectionMesh:
             if block.ndim != 2 or block.shape[1] not in KINDS or len(block) == 0:
                 raise InputError(
                     "elements",
-                    allowed=f"[m, k], k in {KINDS}",
-                    state=f"elements of shape {tuple(block.shape)}",
-                    noun="SectionMesh:",
+                    allowed=f"must have elements of shape [m, k], k in {KINDS}",
+                    state=f"has elements of shape {tuple(block.shape)}",
+                    noun="SectionMesh",
                 )
             outside = ((block < 0) | (block >= n)).any(dim=1).nonzero().flatten()
             if len(outside):
@@ -119,7 +127,7 @@ class SectionMesh:
                 raise InputError(
                     ("elements", start + k),
                     block[k].tolist(),
-                    f"0 to {n - 1}",
+                    f"must have nodes from 0 to {n - 1}",
                     state=f"has nodes {block[k].tolist()}",
                     noun=f"SectionMesh: element {start + k}",
                 )
@@ -133,7 +141,7 @@ class SectionMesh:
                 raise InputError(
                     ("elements", start + k),
                     block[k].tolist(),
-                    "counterclockwise elements (seen from +x, y to the right) with convex corners",
+                    "counterclockwise (seen from +x, y to the right) with convex corners",
                     state="is inverted or collapsed",
                     noun=f"SectionMesh: element {start + k}, nodes {block[k].tolist()},",
                 )
@@ -143,9 +151,10 @@ class SectionMesh:
             orphans = (~used).nonzero().flatten().tolist()
             raise InputError(
                 "nodes",
-                rule=f"belong to no element: {orphans[:8]}",
-                hint="remove them",
+                allowed="nodes of elements",
+                hint="a mesh without them",
                 noun=f"SectionMesh: {len(orphans)} nodes",
+                state=f"belong to no element: {orphans[:8]}",
             )
 
     def _check_connected(self) -> None:
@@ -179,7 +188,7 @@ class SectionMesh:
             element, stray = int(owner[rim[k[wrong[0]]]]), int(node[wrong[0]])
             raise InputError(
                 ("nodes", stray),
-                allowed="neighbors that share their sides",
+                allowed="must have neighbors that share their sides",
                 state=f"lies on a side of element {element} and is not one of its nodes",
                 noun=f"SectionMesh: node {stray}",
             )

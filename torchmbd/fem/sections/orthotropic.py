@@ -68,7 +68,8 @@ class Orthotropic:
             raise InputError(
                 "nu12",
                 numbers.nu12,
-                "|nu_ij| < sqrt(E_i / E_j), and a positive determinant of the 3 x 3 compliance of the normal stresses",
+                "must have |nu_ij| < sqrt(E_i / E_j), and a positive determinant of the 3 x 3 "
+                "compliance of the normal stresses",
                 noun="Orthotropic: nu12",
                 state=f"= {numbers.nu12!r}, nu13 = {numbers.nu13!r}, nu23 = {numbers.nu23!r} make the "
                 "compliance not positive definite",
@@ -97,13 +98,17 @@ class Orthotropic:
             raise InputError("ply", ply, "a Ply or an Orthotropic")
         if varies(ply):
             raise InputError(
-                "ply", ply, "numbers, or a Section of the ply itself", state=f"is {ply!r}, whose numbers vary"
+                "ply",
+                ply,
+                "must have numbers that do not vary",
+                state=f"is {ply!r}, whose numbers vary",
+                hint="a Section of the ply itself",
             )
         if ply.loss:
             raise InputError(
                 "ply",
                 ply,
-                "0",
+                "must have the loss factor 0",
                 hint="damping of the modes of the body",
                 noun="ply of a section",
                 state=f"has the loss factor {ply.loss!r}",
@@ -115,9 +120,9 @@ class Orthotropic:
         except InputError as error:
             raise InputError(
                 "ply",
-                rule=f"is not a transversely isotropic solid (nu23 = E2 / (2 G23) - 1 = {nu23:.4g}); give all nine "
-                "constants as Orthotropic",
                 noun=f"ply with E2 = {ply.E2!r}, G23 = {ply.G23!r}",
+                state=f"is not a transversely isotropic solid (nu23 = E2 / (2 G23) - 1 = {nu23:.4g})",
+                hint="an Orthotropic, which has all nine constants",
             ) from error
 
     def of_design(self, ply: Lamina | Orthotropic) -> Orthotropic:

@@ -155,11 +155,7 @@ def hat_section(
     if not number(crown) < number(width) - 2.0 * (r := _checked(radius)):
         limit = f"the width {number(width):g} m" + (f" minus twice the radius {r:g} m" if r else "")
         raise InputError(
-            "crown",
-            number(crown),
-            rule=f"must be less than {limit}",
-            noun="hat_section: crown",
-            shown=f"{number(crown):g} m",
+            "crown", number(crown), f"less than {limit}", noun="hat_section: crown", shown=f"{number(crown):g} m"
         )
 
     def path(t: Any, width: Any, crown: Any, height: Any) -> list[tuple]:
@@ -241,7 +237,7 @@ def _laminates(
             raise InputError(
                 (str(kind), name),
                 number(length),
-                rule=f"must be more than {limit}",
+                f"more than {limit}",
                 hint="thinner or fewer plies" + (", a smaller radius" if radius else ""),
                 noun=f"{kind}: {name}",
                 shown=f"{number(length):g} m",

@@ -99,14 +99,14 @@ class Section(nn.Module):
         if len(plies) != len(theta):
             raise InputError(
                 "ply",
-                allowed="one ply, or one per angle",
-                state=f"{len(plies)} plies for {len(theta)} angles",
-                noun="Section:",
+                allowed="must have one ply, or one per angle",
+                state=f"has {len(plies)} plies for {len(theta)} angles",
+                noun="Section",
             )
         if mesh.layers > len(theta):
             raise InputError(
                 "angles",
-                allowed="one angle for each layer",
+                allowed="must have one layer for each angle",
                 state=f"has {mesh.layers} layers, but there are {len(theta)} angles",
                 noun="Section: the mesh",
             )
@@ -193,9 +193,11 @@ class Section(nn.Module):
 
     def stress(self, force: Sequence[float | Tensor] | Float[Tensor, "*lanes 6"]) -> SectionStress:
         """Recover strains and stresses under (N, V_y, V_z, T, M_y, M_z) [N, N m] at the points of all elements."""
-        load = differentiable_reals("force", force, f"[..., 6], {', '.join(FORCES)}")
+        load = differentiable_reals("force", force, f"must have shape [..., 6], {', '.join(FORCES)}")
         if load.shape[-1:] != (6,):
-            raise InputError("force", load, f"[..., 6], {', '.join(FORCES)}", state=f"has shape {tuple(load.shape)}")
+            raise InputError(
+                "force", load, f"must have shape [..., 6], {', '.join(FORCES)}", state=f"has shape {tuple(load.shape)}"
+            )
         _, strain, stress = self.unit_fields()
         load = load[..., None, None, :, None]
         g = self.geometry

@@ -74,7 +74,7 @@ class Event:
         if getattr(self.function, "since_start", False):
             raise self._not_of_an_instant("is a change since the start of the motion")
         if not isinstance(self.direction, str) or self.direction not in DIRECTIONS:
-            raise InputError("direction", self.direction, ", ".join(DIRECTIONS), noun="direction of an event")
+            raise InputError("direction", self.direction, DIRECTIONS, noun="direction of an event")
 
     def of(self, motion: Trajectory) -> Tensor:
         """The function [lanes, times]; InputError if it returns anything else."""
@@ -84,7 +84,7 @@ class Event:
             returned = f"shape {tuple(g.shape)}" if isinstance(g, Tensor) else repr(g)
             raise InputError(
                 "function",
-                allowed=f"a tensor [lanes, times], {shape}",
+                allowed=f"must return a tensor [lanes, times], {shape}",
                 state=f"returned {returned}",
                 noun="the function of an event",
             )

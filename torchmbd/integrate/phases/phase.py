@@ -73,7 +73,7 @@ class Phase:
             raise InputError(
                 "until",
                 self.until,
-                "one of them",
+                "must not be given together",
                 state="are both given",
                 noun=f"until={self.until!r} and lasting={self.lasting!r}",
             )
@@ -93,20 +93,20 @@ class Phase:
             if isinstance(x, str) or not isinstance(x, Sequence) or not all(isinstance(j, (str, Joint)) for j in x):
                 raise InputError(key, x, "a list of joints or of their names", noun=f"{key} of a phase")
         if not isinstance(self.laws, Mapping):
-            raise InputError("laws", self.laws, "names of force elements -> laws", noun="laws of a phase")
+            raise InputError("laws", self.laws, "a mapping name of a force element -> law", noun="laws of a phase")
         if self.name is not None and not isinstance(self.name, str):
             raise InputError("name", self.name, "a string", noun="name of a phase")
         if self.impact is not None and not isinstance(self.until, Event):
             raise InputError(
                 "impact",
-                allowed="until=mbd.Event(gap), because an impact happens at an event",
+                allowed="given with until=mbd.Event(gap), because an impact happens at an event",
                 noun="impact of a phase",
                 state=f"is given, but until={self.until!r}",
             )
         refuse_gradients("impact", self.impact, "a number, or a map of the velocities")
         number = is_real(self.impact) and 0.0 <= float(self.impact) <= 1.0  # pyright: ignore[reportArgumentType]
         if self.impact is not None and not callable(self.impact) and not number:
-            raise InputError("impact", self.impact, "from 0 to 1, or a map of the velocities", noun="impact of a phase")
+            raise InputError("impact", self.impact, "0 to 1, or a map of the velocities", noun="impact of a phase")
 
     @property
     def end_time(self) -> float | None:

@@ -199,7 +199,7 @@ def _check_names(system: System, names: Sequence[str]) -> None:
         if twice:
             raise InputError(
                 kind,
-                allowed="unique names with phases",
+                allowed="must have unique names with phases",
                 state=f"have the names {', '.join(twice)} more than once",
                 noun=kind,
             )
@@ -216,13 +216,13 @@ def _actions_of_phase(system: System, phase: str, laws: Mapping[str, Law]) -> tu
     of_kind, count = {type(kind): kind for kind in system.topology.actions}, Counter()
     for name, law in laws.items():
         if name not in named:
-            raise unknown(f"in laws of phase {phase!r} the force", name, named, ("phases", phase, "laws"))
+            raise unknown(f"laws of phase {phase!r}: force", name, named, ("phases", phase, "laws"))
         matches = [force for force in system.forces if force.name == name]
         if len(matches) > 1 or len(list(matches[0].actions(AttachmentTable()))) != 1:
             raise InputError(
                 ("phases", phase, "laws"),
                 name,
-                "one force element of a single action",
+                "must name one force element of a single action",
                 state=f"names {name!r}",
                 noun=f"laws of phase {phase!r}",
             )
@@ -246,14 +246,14 @@ def check_order(phases: Sequence[Phase], duration: float) -> None:
         if phase.until is None and phase.lasting is None:
             raise InputError(
                 ("phases", name, "until"),
-                allowed="until or lasting for every phase but the last",
+                allowed="must have until or lasting, because it is not the last",
                 noun=f"phase {name!r}",
                 state="never ends",
             )
     if phases[-1].until is not None or phases[-1].lasting is not None:
         raise InputError(
             ("phases", names[-1]),
-            allowed="neither, because the last phase ends with the duration",
+            allowed="must have neither, because it ends with the duration",
             state="is the last phase, but it has until or lasting",
             noun=f"phase {names[-1]!r}",
         )
@@ -270,7 +270,7 @@ def _joints_named(system: System, phase: str, joints: Sequence[Joint | str], arg
     for x in joints:
         name = x if isinstance(x, str) else x.name
         if name not in named or (isinstance(x, Joint) and named[name] is not x):
-            raise unknown(f"in {argument} of phase {phase!r} the joint", name, named, ("phases", phase, argument))
+            raise unknown(f"{argument} of phase {phase!r}: joint", name, named, ("phases", phase, argument))
         result.append(named[name])
     return result
 
@@ -300,7 +300,7 @@ def _check_locks(phase: str, system: System, locked: Sequence[Joint], released: 
                 raise InputError(
                     ("phases", phase, "lock"),
                     joint.name,
-                    f"release={[drive.name]!r} in this phase",
                     state=f"locks {joint.name!r}, which {drive.name!r} drives",
                     noun=f"phase {phase!r}",
+                    hint=f"release={[drive.name]!r} in this phase",
                 )

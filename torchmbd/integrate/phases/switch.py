@@ -179,7 +179,7 @@ def _velocities(impact: Callable, motion: Trajectory) -> Tensor:
         returned = f"shape {tuple(v.shape)}" if isinstance(v, Tensor) else repr(v)
         raise InputError(
             ("phases", "impact"),
-            allowed=f"a tensor [lanes, times, n_v], {shape}",
+            allowed=f"must return a tensor [lanes, times, n_v], {shape}",
             state=f"returned {returned}",
             noun="the impact of a phase",
         )

@@ -178,8 +178,7 @@ class Expansion:
                 else:
                     self.loads.append((zone, change))
         if not self.loads:
-            noun = f"expansion of {self.name!r}:"
-            raise InputError((self.name, "expansion"), zones, rule=str(refused[0]), noun=noun, shown="")
+            raise within(f"expansion of {self.name!r}", refused[0], self.name, "expansion")
         self._independent = self._independent_nearby()
         return StaticShapes(self.assembly.pattern, self.free_forces, len(self.loads))
 

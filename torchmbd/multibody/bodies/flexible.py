@@ -122,9 +122,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
             raise InputError((name, "mesh"), mesh, "a Mesh or a BeamLine")
         if not isinstance(parts, Mapping) or not parts or not all(isinstance(x, Part) for x in parts.values()):
             raise InputError(
-                (name, "parts"),
-                parts,
-                "names -> parts, such as Plates or Beams, at least one",
+                (name, "parts"), parts, "a mapping name -> part, such as Plates or Beams, with at least one part"
             )
         set_start(self, position, axes)
         interfaces = Interfaces.of(self.name, mesh, interface)
@@ -138,7 +136,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
             if links:
                 raise InputError(
                     (name, "nodes"),
-                    allowed="constant nodes, or no links",
+                    allowed="constant, or without links",
                     state="are design variables, but some of them are linked",
                 )
             self.add_module("line", mesh.node_module)  # pyright: ignore[reportAttributeAccessIssue]
@@ -170,7 +168,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
                 if hasattr(self, name):
                     raise InputError(
                         (self.name, "parts", name),
-                        allowed="any other",
+                        allowed="must have another one",
                         noun=f"part {name!r}",
                         state=f"of {self.name!r} has a name that is taken",
                     )
@@ -208,9 +206,10 @@ class FlexibleBody(MatrixMethods, nn.Module):
         if len(self.plates) != 1:
             raise InputError(
                 (self.name,),
-                allowed="plates[name].matrices",
+                allowed="must have one",
                 noun=repr(self.name),
                 state=f"has {len(self.plates)} laminated parts",
+                hint="plates[name].matrices",
             )
         return next(iter(self.plates.values())).matrices
 
@@ -302,7 +301,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         sections: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
         if len(sections) != len(line.elements):
             wrong = f"has {len(sections)} sections for {len(line.elements)} elements"
-            raise InputError((name, "section"), allowed="one, or one for each element", state=wrong)
+            raise InputError((name, "section"), allowed="must have one, or one for each element", state=wrong)
         parts: dict[str, Part] = {}  # elements that share a section are one part
         for k, cross_section in enumerate(dict.fromkeys(sections)):
             members = [e for e, s in enumerate(sections) if s is cross_section]
@@ -331,8 +330,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         if varying_nodes(self.mesh) and len(interpolation.nodes) > 1:
             raise InputError(
                 (self.name, "node"),
-                allowed="one node",
-                state=f"on nodes {list(interpolation.nodes)} of {self.name!r}, whose nodes vary",
+                allowed="on one node",
+                state=f"is on nodes {list(interpolation.nodes)} of {self.name!r}, whose nodes vary",
                 noun="frame",
             )
         return Frame(self, interpolation.center(x) + vector("offset", offset), rotation("axes", axes), interpolation)

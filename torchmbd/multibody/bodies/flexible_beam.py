@@ -111,9 +111,10 @@ class FlexibleBeam(ExactBeam):
         if varying_nodes(line):
             raise InputError(
                 (name, "line"),
-                allowed="a fixed line, or an ExactBeam on its own",
+                allowed="fixed",
                 state="varies with the design",
                 noun=f"line of the flexible beam {name!r}",
+                hint="an ExactBeam on its own",
             )
         time = zero_or_positive((name, "damping"), number(damping), "s")
         self.damping = damping if is_variable(damping) else time

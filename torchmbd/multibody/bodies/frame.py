@@ -210,8 +210,8 @@ def rotation(name: str | Path, axes: Sequence | Tensor | None) -> Tensor:
     if not error < 1e-9 or float(torch.linalg.det(A)) < 0:
         raise InputError(
             name,
-            allowed="orthonormal columns that form a right-handed triad",
-            state=f"is not a rotation: |A'A - 1| = {error:.1e}, det A = {float(torch.linalg.det(A)):.3f}",
+            allowed="must have orthonormal columns that form a right-handed triad",
+            state=f"is not a rotation (|A'A - 1| = {error:.1e}, det A = {float(torch.linalg.det(A)):.3f})",
         )
     return A
 

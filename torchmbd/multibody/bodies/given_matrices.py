@@ -71,7 +71,8 @@ class GivenMatrices:
         if any(x.shape != (len(self.freedoms),) * 2 for x in matrices):
             raise InputError(
                 (name, "matrices"),
-                allowed=f"{len(self.freedoms)} rows and columns, one for each degree of freedom of {len(positions)} nodes",
+                allowed=f"must have {len(self.freedoms)} rows and columns, one for each degree of freedom of "
+                f"{len(positions)} nodes",
                 state=f"have the shapes {', '.join(str(x.shape) for x in matrices)}",
             )
         self.pattern, values = _common_pattern(self.freedoms, matrices, 6 * len(positions))
@@ -113,7 +114,7 @@ def mesh_of(
         raise InputError(
             (name, "node_sets"),
             node_sets,
-            "the node sets of the mesh, or nodes [n, 3]",
+            "left to the mesh, or given with nodes [n, 3]",
             state="are given beside a Mesh",
         )
     return nodes
@@ -133,7 +134,7 @@ def _labeled(label: tuple[str, str], matrix: Any) -> LabeledMatrix:
             raise InputError(label, dense, "a square matrix", state=f"has shape {tuple(dense.shape)}")
         read = LabeledMatrix(scipy.sparse.csr_array(dense.detach().numpy()))
     if not np.isfinite(read.matrix.data).all():
-        raise InputError(label, allowed="finite numbers", state="has entries that are not finite")
+        raise InputError(label, allowed="must have finite entries", state="has entries that are not finite")
     return read
 
 
@@ -162,25 +163,19 @@ def _positions(name: str, nodes: Any, read: Sequence[LabeledMatrix]) -> tuple[li
             positions = np.array([list(nodes[label]) for label in labels], dtype=float).reshape(len(labels), 3)
         except (TypeError, ValueError, KeyError):
             raise InputError(
-                (name, "nodes"),
-                nodes,
-                "a number -> three coordinates",
-                state=f"are {nodes!r}",
+                (name, "nodes"), nodes, "a mapping number -> three coordinates", state=f"are {nodes!r}"
             ) from None
         return labels, reals((name, "nodes"), positions)
     x = nodes.nodes.detach() if isinstance(nodes, Mesh) else reals((name, "nodes"), nodes)
     if x.dim() != 2 or x.shape[1] != 3 or not len(x):
         raise InputError(
-            (name, "nodes"),
-            x,
-            "[n, 3], or label -> place",
-            state=f"have shape {tuple(x.shape)}",
+            (name, "nodes"), x, "must have shape [n, 3], or label -> place", state=f"have shape {tuple(x.shape)}"
         )
     labels = sorted({label for matrix in read if matrix.rows is not None for label, _ in matrix.rows})
     if labels and len(labels) != len(x):
         raise InputError(
             (name, "matrices"),
-            allowed=f"{len(x)}, the number of given nodes",
+            allowed=f"must refer to {len(x)}, the number of given nodes",
             state=f"refer to {len(labels)} nodes",
         )
     return labels or None, x
@@ -196,13 +191,15 @@ def _freedoms(
         index = {label: k for k, label in enumerate(labels or [])}
         missing = [label for label, _ in rows if label not in index]
         if missing:
-            raise InputError((name, "nodes"), rule=f"lack the label {missing[0]}, which the matrices have")
+            raise InputError(
+                (name, "nodes"), allowed="must have all labels of the matrices", state=f"lack the label {missing[0]}"
+            )
         return torch.tensor([6 * index[label] + component - 1 for label, component in rows], dtype=torch.long)
     if freedoms is None:
         if size not in (3 * n, 6 * n):
             raise InputError(
                 (name, "matrices"),
-                allowed=f"{3 * n} or {6 * n}, or `freedoms`",
+                allowed=f"must have {3 * n} or {6 * n}, or `freedoms`",
                 state=f"have {size} rows for {n} nodes",
             )
         freedoms = size // n
@@ -246,7 +243,7 @@ def _symmetric(name: str, key: str, pattern: Pattern, values: Tensor) -> Tensor:
         raise InputError(
             (name, key),
             allowed="symmetric to 1e-9",
-            state=f"is not symmetric: {float(values[worst]):.9g} between {freedom(i)} and {freedom(j)}, "
+            state=f"has {float(values[worst]):.9g} between {freedom(i)} and {freedom(j)}, "
             f"{float(values[pattern.transposed[worst]]):.9g} in the transposed entry",
         )
     return 0.5 * (values + values[pattern.transposed])

@@ -55,7 +55,7 @@ class Interface:
         if self.rigid and self.weights is not None:
             raise InputError(
                 "weights",
-                allowed="weights, or rigid=True",
+                allowed="left out with rigid=True",
                 noun="weights of an Interface",
                 state="are given, but the interface is rigid",
             )
@@ -97,13 +97,13 @@ class Interfaces:
 
     def _add_named(self, name: str, mesh: Any, key: Any, item: Any) -> None:
         if not isinstance(key, str) or not key:
-            raise InputError((name, "interface"), allowed="a word", state=f"has the name {key!r}")
+            raise InputError((name, "interface"), allowed="must have a word as its name", state=f"has the name {key!r}")
         mount = self._add(name, mesh, item if isinstance(item, Interface) else Interface(item))
         if key in mesh.node_sets and sorted(node_indices(mesh, key)) != sorted(mount.nodes):
             raise InputError(
                 (name, "interface"),
                 key,
-                "another name",
+                "must have another name",
                 state="has the name of other nodes of its mesh",
                 noun=f"interface {key!r} of {name!r}",
             )
@@ -114,17 +114,13 @@ class Interfaces:
         mount = InterpolationConstraint.on(nodes, item.weights)
         if len(set(nodes)) != len(nodes):
             raise InputError(
-                (name, "interface"),
-                allowed="each node once",
-                state=f"has a node twice: {nodes}",
+                (name, "interface"), allowed="must have each node once", state=f"has a node twice, {nodes}"
             )
         if len(nodes) == 1:
             self.kept += nodes
         elif varying_nodes(mesh):
             raise InputError(
-                (name, "interface"),
-                allowed="single nodes",
-                state="has several nodes, and nodes vary",
+                (name, "interface"), allowed="must have single nodes", state="has several nodes, and nodes vary"
             )
         elif item.rigid:
             self.kept.append(nodes[0])

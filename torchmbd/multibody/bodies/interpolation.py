@@ -116,7 +116,7 @@ def rigid_links(mesh: Any, sets: Sequence[str | Sequence[int]]) -> list[RigidLin
         leader, *others = node_indices(mesh, node_set)
         if not others:
             raise InputError(
-                "rigid", allowed="sets of at least two nodes", state=f"has the set {node_set!r} of one node"
+                "rigid", allowed="must have sets of at least two nodes", state=f"has the set {node_set!r} of one node"
             )
         links += [RigidLink(node, leader) for node in others]
     return links

@@ -102,7 +102,7 @@ class MatrixMethods:
             if beside := [key for key, x in arguments.items() if x is not None]:
                 raise InputError(
                     (name, beside[0]),
-                    allowed="a file alone",
+                    allowed="left out with a file",
                     state="are given together with a file, which contains them",
                     noun=f"{', '.join(beside)} of {name!r}",
                 )
@@ -152,9 +152,7 @@ class MatrixMethods:
             else:
                 if not body.assembly.freedoms.plain:
                     raise InputError(
-                        (body.name, "nodes"),
-                        allowed="a body without links, or save_reduced",
-                        state="are linked",
+                        (body.name, "nodes"), allowed="free of links", state="are linked", hint="save_reduced"
                     )
                 K, M = matrices(Assembly(self.mesh, body.assembly.parts))
         if K.values.dim() > 1:

@@ -32,7 +32,7 @@ class _Linear(nn.Module):
                 raise InputError(
                     (name, "derivatives"),
                     derivatives,
-                    "a Python identifier",
+                    "must have Python identifiers as names",
                     state=f"has the name {key!r}",
                 )
             if not isinstance(item, (tuple, list)) or len(item) != 3:
@@ -104,7 +104,7 @@ class _DenseMatrices(nn.Module):
         if not pair or not all(isinstance(x, Tensor) and x.dtype == torch.float64 and x.dim() == 2 for x in matrices):
             raise InputError(
                 (self.name, "M"),
-                allowed="M and K [N, N] in float64",
+                allowed="must return M and K [N, N] in float64",
                 state=f"returns {matrices!r}",
                 noun=f"the module of {self.name!r}",
             )
@@ -136,7 +136,7 @@ def matrix_source(name: str, M: Any, K: Any, derivatives: Any, parameters: Any) 
     if K is not None or derivatives:
         raise InputError(
             (name, "K"),
-            allowed="a module alone makes both",
+            allowed="left out with a module, which makes both",
             state=f"are given beside {M!r}",
             noun=f"K and derivatives of {name!r}",
         )

@@ -75,7 +75,7 @@ class MatrixStructure:
             elif reduction is not None or node_indices(self.mesh, interface):
                 raise InputError(
                     (self.name, "reduction"),
-                    allowed="shapes alone, or a number of modes with reduction and interface",
+                    allowed="left out with shapes",
                     state="are given, although modes contains shapes",
                     noun=f"reduction and interface of {self.name!r}",
                 )
@@ -129,7 +129,7 @@ class MatrixStructure:
             try:
                 small = modal_basis(0.5 * (Kr + Kr.mT), 0.5 * (Mr + Mr.mT), self.shapes.shape[1])
             except InputError as error:
-                raise InputError((self.name, "modes"), rule=f"must be independent: {error}") from None
+                raise InputError((self.name, "modes"), allowed=f"independent: {error}") from None
             return self.shapes @ small.vectors, small.stiffness
         try:
             basis = self.reduction(K.restrict(self.free), M.restrict(self.free))
@@ -163,17 +163,16 @@ class MatrixStructure:
             if len(bad):
                 raise InputError(
                     (self.name, key),
-                    allowed="mass and stiffness at every degree of freedom",
-                    state=f"is not positive definite: {float(_diagonal(A)[bad[0]]):g} at {freedom(int(bad[0]))} ("
-                    f"one of {len(bad)})",
+                    allowed="must have mass and stiffness at every degree of freedom",
+                    state=f"has {float(_diagonal(A)[bad[0]]):g} at {freedom(int(bad[0]))} (one of {len(bad)})",
                 )
         try:
             reduction = REDUCTIONS[kind](int(modes), tuple(rows), updated)
             basis = reduction(K.restrict(self.free), M.restrict(self.free))
         except Indefinite as error:
             moving = freedom(int(self.free[error.row]))
-            rule = f"{error.fault}; {moving} moves most"
-            raise InputError((self.name, *error.path), rule=rule, noun=f"reduction of {self.name!r}:") from None
+            state, noun = f"{error.fault}, and {moving} moves most", f"reduction of {self.name!r}:"
+            raise InputError((self.name, *error.path), allowed=error.allowed, noun=noun, state=state) from None
         except InputError as error:
             place = f"reduction of {self.name!r} (rows of its {len(self.free)} free degrees of freedom)"
             raise within(place, error, self.name) from None
@@ -186,7 +185,7 @@ class MatrixStructure:
                 (self.name, "K"),
                 K,
                 "an elastic body in one piece",
-                state="is not positive definite with the reference held: a mode has the eigenvalue "
+                state="with the reference held has a mode with the eigenvalue "
                 f"{float(lowest[0]):g} 1/s2, and {moving} moves most in it",
             )
 
@@ -210,7 +209,7 @@ class MatrixStructure:
             raise InputError(
                 (self.name, "M"),
                 M,
-                "the same positive mass along x, y and z",
+                "must have the same positive mass along x, y and z",
                 state=f"has the masses {masses.tolist()} kg along x, y, z",
             )
 
@@ -241,7 +240,7 @@ class MatrixStructure:
         if not full.any():
             raise InputError(
                 (self.name, "nodes"),
-                allowed="at least one node with three displacements",
+                allowed="must have at least one node with three displacements",
                 state="has three displacements",
                 noun=f"nodes of {self.name!r}: none",
             )
@@ -257,9 +256,7 @@ class MatrixStructure:
         )
         if abs(R[2, 2]) < 1e-9 * abs(R[0, 0]):
             raise InputError(
-                (self.name, "nodes"),
-                allowed="a body in space",
-                state="lie on a line and have no rotations",
+                (self.name, "nodes"), allowed="those of a body in space", state="lie on a line and have no rotations"
             )
         return [node], [*first, *(int(k) for k in order[:3])]
 

@@ -77,8 +77,10 @@ def reduced(
             _check_elastic(K, basis)
             return reduction, basis.stiffness.shape[-1]
     except Indefinite as error:
-        rule = f"{error.fault}. {moving(assembly, error.row)}"
-        raise InputError((name, *error.path), rule=rule, noun=f"reduction of {name!r}:") from None
+        state = f"{error.fault}, and {moving(assembly, error.row)}"
+        raise InputError(
+            (name, *error.path), allowed=error.allowed, noun=f"reduction of {name!r}:", state=state
+        ) from None
     except InputError as error:
         raise within(f"reduction of {name!r}", _without_mass(assembly) or error, name) from None
 
@@ -89,7 +91,7 @@ def _check_elastic(K: SparseMatrix, basis: ModalBasis) -> None:
     shape = basis.vectors.reshape(-1, *basis.vectors.shape[-2:])[0] @ shapes[:, :1]
     sizes = SparseMatrix(K.pattern, K.values.reshape(-1, K.pattern.nnz)[0].abs()) @ shape.abs()
     if len(values) and values[0] < -ROUNDING * torch.maximum((shape.abs() * sizes).sum(), values[-1]):
-        fault = "is not positive definite: something can move against its stiffness"
+        fault = "lets something move against its stiffness"
         raise Indefinite("K", "", fault, int(shape.abs().argmax()))
 
 
@@ -125,7 +127,7 @@ def _without_mass(assembly: Assembly) -> InputError | None:
         return None
     named, what = _freedom_name(assembly, int(assembly.freedoms.free[bad[0]]))
     state = f"has stiffness but no mass {what} ({len(bad)} such degrees of freedom)"
-    return InputError("M", allowed="a mass or an inertia there", noun=named, state=state)
+    return InputError("M", allowed="must have a mass or an inertia there", noun=named, state=state)
 
 
 def twice(node: int, reference: Sequence[int]) -> str:

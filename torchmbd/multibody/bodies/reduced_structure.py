@@ -87,14 +87,14 @@ class ReducedStructure:
             raise InputError(
                 (self.name, key),
                 A,
-                f"[{self.size}, {self.size}], finite",
+                f"must have shape [{self.size}, {self.size}], finite",
                 state=f"has shape {tuple(A.shape)}",
             )
         if float((A - A.T).abs().max()) > NORMAL * float(A.abs().max()):
             raise InputError(
                 (self.name, key),
                 allowed="symmetric to 1e-9",
-                state=f"is not symmetric: {A.tolist()}",
+                state=f"= {A.tolist()}",
             )
         return 0.5 * (A + A.T)
 
@@ -103,21 +103,17 @@ class ReducedStructure:
         if K2.shape != (self.size,) * 3 or not bool(torch.isfinite(K2).all()):
             shape = tuple(K2.shape)
             raise InputError(
-                (self.name, "K2"),
-                allowed=f"{(self.size,) * 3}, finite",
-                state=f"has shape {shape}",
+                (self.name, "K2"), allowed=f"must have shape {(self.size,) * 3}, finite", state=f"has shape {shape}"
             )
         if max(float((K2 - K2.transpose(0, k)).abs().max()) for k in (1, 2)) > NORMAL * float(K2.abs().max()):
             raise InputError(
-                (self.name, "K2"),
-                allowed="derivatives of an energy",
-                state="changes with the order of its axes",
+                (self.name, "K2"), allowed="the derivatives of an energy", state="changes with the order of its axes"
             )
         return K2
 
     def _invariants(self, numbers: Mapping[str, Any]) -> dict[str, Tensor]:
         if not isinstance(numbers, Mapping):
-            raise InputError((self.name, "invariants"), numbers, "name -> numbers")
+            raise InputError((self.name, "invariants"), numbers, "a mapping name -> numbers")
         values = dict(numbers)
         if "J" in values:
             J = reals((self.name, "J"), values.pop("J"))
@@ -130,17 +126,12 @@ class ReducedStructure:
             shape = tuple(self.size if n == "m" else int(n) for n in axes)
             if key not in values and key not in _OPTIONAL:
                 raise InputError(
-                    (self.name, "invariants"),
-                    allowed=f"all of {', '.join(SHAPES)}",
-                    state=f"lack {key!r}",
+                    (self.name, "invariants"), allowed=f"must have all of {', '.join(SHAPES)}", state=f"lack {key!r}"
                 )
             x = reals((self.name, key), values.get(key, np.zeros(shape))).detach()
             if x.shape != shape or not bool(torch.isfinite(x).all()):
                 raise InputError(
-                    (self.name, key),
-                    x,
-                    f"{shape}, finite",
-                    state=f"has shape {tuple(x.shape)}",
+                    (self.name, key), x, f"must have shape {shape}, finite", state=f"has shape {tuple(x.shape)}"
                 )
             invariants[key] = x
         return invariants
@@ -181,8 +172,8 @@ class ReducedStructure:
             if not value > (0.0 if key != "inertia about the origin" else -1e-12 * float(J.abs().max())):
                 raise InputError(
                     (self.name, key),
-                    allowed="positive",
-                    state=f"is not positive definite: {value:g}",
+                    allowed="positive definite",
+                    state=f"has the eigenvalue {value:g}",
                 )
 
 
@@ -195,7 +186,7 @@ def _shapes(name: str, n: int, modes: Any) -> Float[Tensor, "n 6 m"]:
         raise InputError(
             (name, "modes"),
             psi,
-            f"[{n}, 6, m], or [{n}, 3, m] of displacements",
+            f"must have shape [{n}, 6, m], or [{n}, 3, m] of displacements",
             state=f"have shape {tuple(psi.shape)}",
         )
     return torch.cat([psi, psi.new_zeros(n, 6 - psi.shape[1], psi.shape[2])], dim=1)
@@ -207,14 +198,12 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping
     if path.suffix != ".npz":
         raise InputError("path", str(path), "a name that ends in .npz", state=f"= {str(path)!r}")
     if "F1" in structure:
-        raise InputError(
-            "stiffening", True, rule="must be False, because files of reduced bodies cannot store stiffening"
-        )
+        raise InputError("stiffening", True, "False, because files of reduced bodies cannot store stiffening")
     if structure["Kr"].dim() > 2:
         raise InputError(
             "designs",
             structure["Kr"].shape[0],
-            "one design",
+            "must have one design",
             noun="the body",
             state=f"has {structure['Kr'].shape[0]} designs at once",
         )

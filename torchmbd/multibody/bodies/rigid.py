@@ -160,7 +160,7 @@ def _scalar(name: str, mass: nn.Parameter) -> nn.Parameter:
         raise InputError(
             (name, "mass"),
             mass,
-            "[], as mbd.variable(...)",
+            "must have shape [], as mbd.variable(...) has",
             state=f"is a Parameter of shape {tuple(mass.shape)}",
         )
     return parameter((name, "mass"), mass)
@@ -180,7 +180,7 @@ def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
         raise InputError(
             (name, "inertia"),
             inertia,
-            "none negative, and none larger than the sum of the other two",
+            "must have none that is negative, and none that is larger than the sum of the other two",
             state=f"has the principal values {principal.tolist()} kg m2",
         )
     return J

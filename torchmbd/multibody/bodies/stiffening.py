@@ -45,7 +45,7 @@ def check_stressed(name: str, what: str, parts: Mapping[str, Any]) -> None:
         if isinstance(part, GivenElements):
             raise InputError(
                 (name, part_name),
-                allowed=f"plates and beams, in {what}",
+                allowed=f"plates or beams, in {what}",
                 state="is rods, springs or solids, which have no geometric stiffness in torchmbd",
                 noun=f"part {part_name!r} of {name!r}",
             )

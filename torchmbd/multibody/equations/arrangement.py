@@ -141,7 +141,7 @@ def _refuse_repeated(argument: str, elements: Sequence[Any]) -> None:
         if times > 1:
             raise InputError(
                 (argument, element.name),
-                allowed="each once",
+                allowed="listed once",
                 state=f"is listed {times} times",
                 noun=f"{argument}: {element.name!r}",
             )
@@ -155,9 +155,9 @@ def _refuse_other_joints(joints: Sequence[Joint]) -> None:
             if id(other) not in present:
                 raise InputError(
                     ("joints", joint.name),
-                    rule=f"couples {other.name!r}, which is not among the joints of the system",
                     hint=f"joints=[..., {other.name}, {joint.name}]",
                     noun=f"joint {joint.name!r}",
+                    state=f"couples {other.name!r}, which is not among the joints of the system",
                 )
 
 
@@ -166,8 +166,9 @@ def _equations(joint: Joint, attachments: AttachmentTable, number: dict[int, int
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
                 ("joints", joint.name),
-                rule=f"is attached to body {frame.body.name!r}, which is not among the bodies of the system",
+                allowed="attached to bodies of the system",
                 noun=f"joint {joint.name!r}",
+                state=f"is attached to body {frame.body.name!r}, which is not among the bodies of the system",
             )
     equations = _check_kinds(joint, list(joint.equations(attachments)), Primitive, KINDS)
     for equation in equations:
@@ -194,8 +195,9 @@ def _actions(force: ForceElement, attachments: AttachmentTable, number: dict[int
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
                 ("forces", force.name),
-                rule=f"acts on body {frame.body.name!r}, which is not among the bodies of the system",
+                allowed="must act on bodies of the system",
                 noun=f"force {force.name!r}",
+                state=f"acts on body {frame.body.name!r}, which is not among the bodies of the system",
             )
     return _check_kinds(force, list(force.actions(attachments)), Action, ACTIONS)
 
@@ -211,7 +213,7 @@ def _check_kinds(owner: Joint | ForceElement, parts: list[Part], base: type, kin
             name = getattr(part.kind, "__name__", repr(part.kind))
             raise InputError(
                 (owner.name,),
-                allowed=f"{names}, or another {base.__name__}",
+                allowed=f"must have the kind {names}, or another {base.__name__}",
                 noun=repr(owner.name),
                 state=f"has the kind {name!r}",
             )

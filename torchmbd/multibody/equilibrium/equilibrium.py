@@ -51,10 +51,10 @@ _LOADED = (
 SPIN = "spin"  # name of the angular velocity [3, 1, lanes] of a steady rotation among the data
 _SAME = 1e-6  # of the largest force: a change of forces in a steady rotation that counts as none
 _MIRRORED = (
-    "no static equilibrium: a drive ends half a turn away from its angle; allowed: initial positions, or a time before, "
+    "no static equilibrium: a drive ends half a turn away from its angle. Try: initial positions, or a time before, "
     "less than a quarter of a turn from it"
 )
-_SMALLER = "allowed: smaller loads, a start near another, unstable=True for one that its stiffness does not hold"
+_SMALLER = "Try: smaller loads, a start near another, unstable=True for one that its stiffness does not hold"
 _NO_STIFFNESS = 1e-13  # of the largest principal stiffness: rounding
 _SOFT = 1e-9  # of the same: a freedom that forces of rounding would move far, as the spin of an arm between ball joints
 _CORRECTIONS = 2  # Newton steps that carry derivatives: the second corrects the rounding of the first one's stiffness
@@ -216,7 +216,7 @@ def _find_equilibrium(
     if steps is not None and steps.stable:
         path = steps.run()
         if path.failure:
-            return _failed(T, start, f"no static equilibrium: {path.failure}; {_SMALLER}")
+            return _failed(T, start, f"no static equilibrium: {path.failure}. {_SMALLER}")
         q = path.q
     rest, largest = Linearization.of(dynamics, q, t, observer=turning), 0.0
     sizes, steps_taken = rest.scale, 0
@@ -233,8 +233,8 @@ def _find_equilibrium(
     forces = rest.unbalanced.abs().nan_to_num(torch.inf)
     worst = T.rate_name(int(rest.active[int(forces.argmax())]), "force", "torque")
     failure = (
-        f"no static equilibrium in {steps_taken} steps: {float(forces.max()):.3g} N or N m remain on {worst}; "
-        "allowed: a mechanism whose forces can balance, initial positions near that, and stiffnesses of springs in series "
+        f"no static equilibrium in {steps_taken} steps: {float(forces.max()):.3g} N or N m remain on {worst}. "
+        "Try: a mechanism whose forces can balance, initial positions near that, and stiffnesses of springs in series "
         f"within a factor of {1.0 / _NO_STIFFNESS:.0e}"
     )
     return _failed(T, start, failure)
@@ -271,7 +271,7 @@ def _balance(
         if all_around and (why := unsteady(dynamics, rest, q, t, rotation, same)):
             return _failed(T, q, why), small
         if rest.negative_mass:  # centrifugal forces are wrong then; without rotation masses do not matter
-            return _failed(T, q, f"no steady rotation: {NEGATIVE_MASS}; {_SMALLER}"), small
+            return _failed(T, q, f"no steady rotation: {NEGATIVE_MASS}. {_SMALLER}"), small
     return Balance(q, rest.lam, _inverse(rest), "", _instability(T, rest)), small
 
 
@@ -367,10 +367,10 @@ def _instability(T: Any, rest: Linearization) -> str:
     row = int(rest.active[int((vectors[:, 0] / rest.scale[rest.active]).abs().argmax())])
     if float(values[0]) < -_NO_STIFFNESS * float(values.abs().max()):
         return (
-            f"the static equilibrium is unstable: {T.rate_name(row)} falls away from it; "
-            "allowed: initial positions near a stable one, or start='assembled'"
+            f"the static equilibrium is unstable: {T.rate_name(row)} falls away from it. "
+            "Try: initial positions near a stable one, or start='assembled'"
         )
     return (
-        f"the mechanism is free to move without a force: {T.rate_name(row)} has no static equilibrium of its own; "
-        "allowed: a drive, a lock, a spring or a joint that holds it, or start='assembled'"
+        f"the mechanism is free to move without a force: {T.rate_name(row)} has no static equilibrium of its own. "
+        "Try: a drive, a lock, a spring or a joint that holds it, or start='assembled'"
     )

@@ -300,17 +300,17 @@ def factored_inertia(inertia: Tensor) -> Tensor:
     if negative_mass(inertia):
         raise DesignFailure(
             "system",
-            allowed="smaller loads, more pieces (mbd.split), exact beams",
             noun="no vibrations:",
             state=NEGATIVE_MASS,
+            hint="smaller loads, more pieces (mbd.split), exact beams",
         )
     L, singular = torch.linalg.cholesky_ex(inertia)
     if int(singular):
         raise DesignFailure(
             "system",
-            allowed="masses and inertias > 0 of all that is free to move",
-            noun="no vibrations:",
-            state="the mechanism can move without moving a mass, as a body without inertia about a free axis",
+            allowed="must have masses and inertias > 0 of all that is free to move",
+            noun="the mechanism",
+            state="has no vibrations, because it can move without moving a mass, as a body without inertia about a free axis",
         )
     return L
 

@@ -83,7 +83,7 @@ class SteadyRotation:
         if spin is None:
             if bool(middle.any()) or observer != TURNING:
                 name, x = ("center", center) if bool(middle.any()) else ("observer", observer)
-                raise InputError(name, x, "with spin=(...)", state=f"is {x!r} without a spin")
+                raise InputError(name, x, "given with spin=(...)", state=f"is {x!r} without a spin")
             return None
         allowed = "three finite numbers, or three for each lane"
         x = differentiable_reals("spin", spin, allowed)
@@ -157,9 +157,9 @@ class GroundObserver(SteadyRotation):
         if T.flexible:
             raise InputError(
                 "observer",
-                allowed="flexible beams (mbd.FlexibleBeam) and rigid bodies, or observer='turning', who sees whirl at "
-                "other frequencies",
+                allowed="'turning', who sees whirl at other frequencies",
                 state=f"is 'ground' with body {T.names[0]!r}, whose modes turn with it",
+                hint="flexible beams (mbd.FlexibleBeam) and rigid bodies",
             )
         v, a = self.rates(T, q)
         A = rotation_matrix(equations.split_q(T, q)[1])

@@ -27,12 +27,12 @@ _ANGLES = (
 )
 _SAME = 1e-6  # of joints; of the stiffness and the damping of a freedom
 _ROUNDING = 1e-13  # of the largest entry of stiffness, or of damping
-_ALLOWED = (
-    "allowed: supports that are alike across the axis; other supports of a rotor that is, with observer='ground'; or "
+_REMEDY = (
+    "Try: supports that are alike across the axis; other supports of a rotor that is, with observer='ground'; or "
     "simulate(), which follows the motion in time"
 )
 _OTHERS = (
-    "no steady rotation: joints or forces are others after a turn by {} rad; allowed: gravity along the axis, and joints and "
+    "no steady rotation: joints or forces are others after a turn by {} rad. Try: gravity along the axis, and joints and "
     "drives to the ground that turn with the spin about its axis"
 )
 
@@ -124,5 +124,5 @@ def _changed_tangents(T: Any, rest: Linearization, after: Linearization, rotatio
         share = difference.abs() / (size[:, None] * size).sqrt().clamp_min(1e-300)
         if float(share.max()) > _SAME:
             row = T.rate_name(int(active[int(before[:, int(share.amax(1).argmax())].abs().argmax())]))
-            return f"no steady rotation: the {name} against {row} is another after a turn by 1 rad; {_ALLOWED}"
+            return f"no steady rotation: the {name} against {row} is another after a turn by 1 rad. {_REMEDY}"
     return ""

@@ -65,9 +65,7 @@ class BeamElement(ForceElement):
         self.rest = _screw(a, b)
         if float(self.rest[3:].norm()) > LARGEST:
             raise InputError(
-                (self.name, "frames"),
-                allowed="smaller turns",
-                state=f"are turned by more than {LARGEST} rad",
+                (self.name, "frames"), allowed="turned by less", state=f"are turned by more than {LARGEST} rad"
             )
 
     @property

@@ -69,7 +69,7 @@ class Bushing(ForceElement):
         if all(law == _Mount() for law in (*self.along, *self.about)):
             raise InputError(
                 (self.name,),
-                allowed="at least one of them",
+                allowed="must have at least one of them",
                 noun=repr(self.name),
                 state="has neither stiffness nor damping",
             )

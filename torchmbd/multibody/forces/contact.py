@@ -61,17 +61,17 @@ class _Stop(_Contact):
         limits = {side: x for side, x in (("lower", lower), ("upper", upper)) if x is not None}
         if not limits:
             raise InputError(
-                (self.name,), allowed="at least one of them", noun=repr(self.name), state="has neither lower nor upper"
+                (self.name,),
+                allowed="must have at least one of them",
+                noun=repr(self.name),
+                state="has neither lower nor upper",
             )
         numbers = limits | {"stiffness": stiffness, "damping": damping, "exponent": exponent}
         module = ContactNumbers(self.name, numbers)
         values = [float(number(getattr(module, side))) for side in limits]
         if values != sorted(values):
             raise InputError(
-                (self.name, "lower"),
-                values[0],
-                "lower below upper",
-                shown=f"{values[0]:g}, upper {values[1]:g}",
+                (self.name, "lower"), values[0], "below upper", shown=f"{values[0]:g}, upper {values[1]:g}"
             )
         self.width, self.middle = values[-1] - values[0], 0.5 * (values[0] + values[-1])
         self.control = StopControl(self.name, module, list(limits), self.between)

@@ -41,7 +41,7 @@ class ControlHistory(nn.Module):
             raise InputError(
                 "values",
                 values,
-                f"[times, actuators], {least} times or more",
+                f"must have shape [times, actuators], {least} times or more",
                 noun="values of a ControlHistory",
                 state=f"have shape {list(values.shape)}",
             )

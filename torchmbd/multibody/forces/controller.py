@@ -57,7 +57,7 @@ class Controller(ForceElement):
         self.inputs = list_of("inputs", inputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
         self.outputs = list_of("outputs", outputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
         if not self.outputs:
-            raise InputError((name, "outputs"), outputs, "at least one actuator", state="is empty")
+            raise InputError((name, "outputs"), outputs, "must contain at least one actuator", state="is empty")
         frames = tuple(frame for x in self.outputs for frame in x.frames)
         super().__init__(tuple(frame for frame in frames if not isinstance(frame.body, Ground))[:1], name)
         self.frames, self.measured = frames, tuple(frame for x in self.inputs for frame in x.frames)
@@ -99,12 +99,14 @@ def _check(control: Control) -> None:
             u = _called(control, at)
             if not bool(torch.isfinite(u).all()):
                 raise InputError(
-                    control.label, allowed="finite", state=f"gives {u.tolist()[0]} at inputs {at.tolist()[0]}, t = 0"
+                    control.label,
+                    allowed="must give finite numbers",
+                    state=f"gives {u.tolist()[0]} at inputs {at.tolist()[0]}, t = 0",
                 )
         if not torch.equal(u, _called(control, x)):
             raise InputError(
                 control.label,
-                allowed="the same numbers",
+                allowed="must give the same numbers",
                 hint=".eval()",
                 state="gives other numbers when it is called again with the same inputs",
             )
@@ -123,14 +125,15 @@ def _check_gradients(control: Control, x: Tensor) -> None:
     if lost:
         raise InputError(
             control.label,
-            allowed="an output that depends on these parameters, or requires_grad_(False)",
+            allowed="must have an output that depends on these parameters",
             state=f"has an output that does not depend on its parameters {', '.join(map(repr, lost))} at t = 0, "
             "so they get no gradient",
+            hint="requires_grad_(False)",
         )
     if by[0] is None and control.inputs and not torch.allclose(u, _called(control, x + 1e-6), rtol=1e-12, atol=0.0):
         raise InputError(
             control.label,
-            allowed="torch operations on the inputs, without detach() or numpy()",
+            allowed="must use torch operations on the inputs, without detach() or numpy()",
             state="returns an output that does not depend on its inputs through torch",
         )
 
@@ -141,7 +144,7 @@ def _called(control: Control, x: Tensor) -> Tensor:
     except Exception as error:  # a module of users may raise any error
         raise InputError(
             control.label,
-            allowed="x [lanes, inputs] -> [lanes, outputs]",
+            allowed="a map x [lanes, inputs] -> [lanes, outputs]",
             state=f"raises {error!r} in {user_line(error)} for x {list(x.shape)}",
         ) from error
     control.check(u, 1, 0.0)

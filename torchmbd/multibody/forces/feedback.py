@@ -80,7 +80,9 @@ class Control:
         """InputError if parameters require a gradient and the output u has none."""
         if torch.is_grad_enabled() and p.requires_grad and not u.requires_grad:
             raise InputError(
-                self.label, allowed="a tensor that depends on its parameters", state=f"gives a detached tensor{_at(t)}"
+                self.label,
+                allowed="must give a tensor that depends on its parameters",
+                state=f"gives a detached tensor{_at(t)}",
             )
 
     def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:
@@ -122,7 +124,7 @@ class Control:
             shown = f"{u.dtype} {list(u.shape)}" if isinstance(u, Tensor) else repr(u)
             raise InputError(
                 self.label,
-                allowed=f"torch.float64 [{lanes}, {self.outputs}] ([lanes, outputs])",
+                allowed=f"must give torch.float64 [{lanes}, {self.outputs}] ([lanes, outputs])",
                 state=f"gives {shown}{_at(t)}",
             )
 

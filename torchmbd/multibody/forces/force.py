@@ -43,12 +43,12 @@ class ForceElement(HintedKeywords):
         names = {1: ("frame",), 2: ("a", "b")}.get(len(frames), ("frames",) * len(frames))
         for key, frame in zip(names, frames, strict=True):
             if not isinstance(frame, Frame):
-                raise InputError(key, frame, "frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
+                raise InputError(key, frame, "must get frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
         if all(isinstance(frame.body, Ground) for frame in frames):
             raise InputError(
                 names[-1],
                 frames[-1],
-                "at least one frame on a body",
+                "must act on at least one frame on a body",
                 state=f"acts on {', '.join(map(repr, frames))}",
                 noun=kind,
             )
@@ -56,7 +56,7 @@ class ForceElement(HintedKeywords):
             raise InputError(
                 "b",
                 frames[1],
-                "two different bodies",
+                "must act between two different bodies",
                 state=f"acts between {frames[0]!r} and {frames[1]!r}",
                 noun=kind,
             )

@@ -147,7 +147,7 @@ class Pieces:
         if len(self.intercepts) != n + 1 or len(self.inclines) != n + 1 or not self.width > 0:
             raise InputError(
                 "borders",
-                allowed="one border fewer than pieces, and a positive width",
+                allowed="one fewer than the pieces, with a positive width",
                 state=f"are {n}, with {len(self.intercepts)} intercepts, {len(self.inclines)} inclines, width {self.width!r}",
             )
         for x in (*self.borders, *self.intercepts, *self.inclines, self.width, self.damping):
@@ -299,7 +299,7 @@ def check_law(name: str, law: Any) -> Any:
         raise InputError(
             (name, "law"),
             law,
-            "a finite tensor of the shape of s, [1, 1, lanes]",
+            "must give a finite tensor of the shape of s, [1, 1, lanes]",
             state=f"gives {f!r} at s = s' = t = 0",
         )
     if not hasattr(law, "slopes") and not isinstance(law, Scaled):
@@ -337,7 +337,8 @@ def check_data_fields(name: str, law: Any) -> None:
     if not hasattr(law, "slopes") or callable(inner) or not all(isinstance(x, Hashable) for x in others.values()):
         raise InputError(
             (name, "law", "data_fields"),
-            allowed=f"{rule}; a tuple for a list; mbd.forces.Scaled around another law",
+            allowed=rule,
+            hint="a tuple for a list, or mbd.forces.Scaled around another law",
             state="has data_fields, but no slopes, or a field that holds a law or a list",
             noun=f"the law of {name!r} ({kind.__name__})",
         )
@@ -350,7 +351,7 @@ def check_data_fields(name: str, law: Any) -> None:
     except TypeError as error:
         raise InputError(
             (name, "law", "data_fields"),
-            allowed="+ - * / and the functions of torchmbd.math.elementwise",
+            allowed="must use + - * / and the functions of torchmbd.math.elementwise alone",
             state=f"has data_fields and does not take pairs of a number and its tangents: {error} in {user_line(error)}",
             noun=f"the law of {name!r} ({kind.__name__})",
         ) from error

@@ -26,7 +26,7 @@ class _Load(ForceElement):
     def __init__(self, frame: Frame, vector: Vector, axes: str = "ground", name: str | None = None):
         super().__init__((frame,), name)
         if axes not in ("ground", "frame"):
-            raise InputError((self.name, "axes"), axes, "'ground', 'frame'")
+            raise InputError((self.name, "axes"), axes, "'ground' or 'frame'")
         self.axes = axes
         parts = _parts(self.name, vector)
         self.laws = [

@@ -63,7 +63,7 @@ class Pressure(ForceElement):
             raise InputError(
                 "body",
                 body,
-                "a flexible body with triangles or quadrilaterals",
+                "must act on a flexible body with triangles or quadrilaterals",
                 state=f"acts on {body!r}",
                 noun="Pressure",
             )

@@ -151,7 +151,11 @@ class TorqueOn(Actuator):
         axis_index(axis)
         if same_body(a.body, b.body):
             raise InputError(
-                "b", b, "two different bodies", state=f"acts between {a!r} and {b!r}", noun=f"{type(self).__name__}"
+                "b",
+                b,
+                "must act between two different bodies",
+                state=f"acts between {a!r} and {b!r}",
+                noun=f"{type(self).__name__}",
             )
 
     def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
@@ -192,9 +196,11 @@ class ForceOn(Actuator):
         self.frames, self.axis, self.axes = (_frame(self, frame),), axis, axes
         axis_index(axis)
         if axes not in ("ground", "frame"):
-            raise InputError("axes", axes, "'ground', 'frame'", noun="axes of ForceOn")
+            raise InputError("axes", axes, "'ground' or 'frame'", noun="axes of ForceOn")
         if isinstance(frame.body, Ground):
-            raise InputError("frame", frame, "a frame on a body", state=f"acts on {frame!r}", noun="ForceOn")
+            raise InputError(
+                "frame", frame, "must act on a frame on a body", state=f"acts on {frame!r}", noun="ForceOn"
+            )
 
     def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
         (frame,) = self.frames
@@ -208,7 +214,7 @@ def _checked_joint(owner: Any, joint: Any, kinds: tuple[type, ...]) -> Any:
         raise InputError(
             "joint",
             joint,
-            f"a joint of the system of the kind {names}",
+            f"must get a joint of the system of the kind {names}",
             state=f"got {joint!r}",
             noun=f"{type(owner).__name__}",
         )
@@ -218,6 +224,10 @@ def _checked_joint(owner: Any, joint: Any, kinds: tuple[type, ...]) -> Any:
 def _frame(owner: Any, frame: Any) -> Frame:
     if not isinstance(frame, Frame):
         raise InputError(
-            "frame", frame, "a frame, such as body.at(...)", state=f"got {frame!r}", noun=f"{type(owner).__name__}"
+            "frame",
+            frame,
+            "must get a frame, such as body.at(...)",
+            state=f"got {frame!r}",
+            noun=f"{type(owner).__name__}",
         )
     return frame

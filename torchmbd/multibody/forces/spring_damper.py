@@ -48,14 +48,14 @@ class _Between(ForceElement):
         if law is not None and spring != Spring():
             raise InputError(
                 (self.name,),
-                allowed="a law, or stiffness, damping and rest",
+                allowed="must have a law alone, or stiffness, damping and rest",
                 noun=repr(self.name),
                 state="has a law, and also stiffness, damping or rest",
             )
         if law is None and spring == Spring(rest=getattr(spring, "rest", 0.0)):
             raise InputError(
                 (self.name,),
-                allowed="at least one of them",
+                allowed="must have at least one of them",
                 noun=repr(self.name),
                 state="has neither law nor stiffness nor damping",
             )

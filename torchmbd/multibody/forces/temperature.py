@@ -116,7 +116,7 @@ class Temperature(ForceElement):
         self.changes = {key: x for key, x in amounts.items() if isinstance(x, Tensor) or callable(x) or x != 0.0}
         for change in self.changes:
             if change not in known:
-                raise InputError((self.name, change), allowed=", ".join(known), state="is given")
+                raise InputError((self.name, change), allowed=known, state="is given")
             with torch.no_grad():
                 body.expansion.forces(zone, change)  # the plies have the coefficients
         body.expansion.warn_of_other_parts(zone)

@@ -64,7 +64,7 @@ class Drive(Joint):
         if len(laws) != 1:
             raise InputError(
                 (self.name,),
-                allowed="exactly one of speed, angle, velocity, position",
+                allowed="must have exactly one of speed, angle, velocity, position",
                 noun=repr(self.name),
                 state=f"has {laws or 'no law'}",
             )

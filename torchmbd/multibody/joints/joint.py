@@ -180,7 +180,7 @@ class AttachmentTable:
             raise InputError(
                 "frame",
                 frame,
-                "constant coordinates and axes",
+                "must have constant coordinates and axes",
                 state="has coordinates or axes that vary, but the displacement is measured from its given position",
                 noun=f"{frame!r}",
             )
@@ -231,9 +231,11 @@ class Joint(HintedKeywords):
         kind = type(self).__name__
         for key, frame in (("a", a), ("b", b)):
             if not isinstance(frame, Frame):
-                raise InputError(key, frame, "frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
+                raise InputError(key, frame, "must get frames, such as body.at(...)", state=f"got {frame!r}", noun=kind)
         if same_body(a.body, b.body):
-            raise InputError("b", b, "frames on two different bodies", state=f"joins {a!r} with {b!r}", noun=kind)
+            raise InputError(
+                "b", b, "must join frames on two different bodies", state=f"joins {a!r} with {b!r}", noun=kind
+            )
         if name is not None and not isinstance(name, str):
             raise InputError("name", name, "a string", noun=f"name of a {kind}")
         self.a, self.b = a, b
@@ -267,9 +269,10 @@ class Joint(HintedKeywords):
         if not torch.equal(b.axes, torch.eye(3, dtype=torch.float64)) and float((axis_a - axis_b).norm()) > 0.1:
             raise InputError(
                 (self.name, "axes"),
-                allowed="the same direction, or no axes on the second frame",
-                state=f"contradict: at the given positions {axis!r} is {_shown(axis_a)} by {a!r} and {_shown(axis_b)} "
-                f"by {b!r}",
+                allowed="must give the same direction",
+                state=f"contradict each other, because at the given positions {axis!r} is {_shown(axis_a)} "
+                f"by {a!r} and {_shown(axis_b)} by {b!r}",
+                hint="no axes on the second frame",
             )
         return axis
 
@@ -295,4 +298,4 @@ def as_frame(x: Any) -> Frame:
         return x.at(x.reference)
     if hasattr(x, "at"):
         return x.at()
-    raise InputError("frame", x, "a body or a frame, such as body.at(...)", state=f"got {x!r}", noun="joint")
+    raise InputError("frame", x, "must get a body or a frame, such as body.at(...)", state=f"got {x!r}", noun="joint")

@@ -61,7 +61,7 @@ class JointCoupling(Joint):
                 raise InputError(
                     ("coordinates", k),
                     x,
-                    rule="must be the angle or the travel of a joint",
+                    "the angle or the travel of a joint",
                     hint="hinge.angle, slide.travel",
                     noun=f"coordinates[{k}]",
                 )
@@ -69,16 +69,13 @@ class JointCoupling(Joint):
             raise InputError(
                 "coordinates",
                 coordinates,
-                rule="must be two or three different coordinates",
+                "two or three different coordinates",
                 hint="several couplings for more",
                 shown=f"{coordinates}",
             )
         if len(factors) != len(coordinates):
             raise InputError(
-                "factors",
-                factors,
-                rule=f"must be {len(coordinates)} numbers, one for each coordinate",
-                shown=f"{factors}",
+                "factors", factors, f"{len(coordinates)} numbers, one for each coordinate", shown=f"{factors}"
             )
         first = coordinates[0].joint
         super().__init__(first.a, first.b, name)
@@ -86,7 +83,7 @@ class JointCoupling(Joint):
         values = [finite((self.name, label), x) for label, x in zip(labels, [*factors, offset], strict=True)]
         for label, x in zip(labels[:-1], values, strict=False):
             if number(x) == 0.0:
-                raise InputError((self.name, label), 0, rule="must not be zero", hint="coordinates without this one")
+                raise InputError((self.name, label), 0, "must not be zero", hint="coordinates without this one")
         self.coordinates = tuple(coordinates)
         self._set_numbers(labels, values)
 
@@ -138,5 +135,5 @@ class JointCoupling(Joint):
 
 def _listed(key: str, x: Any) -> list:
     if isinstance(x, str) or not isinstance(x, Sequence):
-        raise InputError(key, x, rule="must be a list")
+        raise InputError(key, x, "a list")
     return list(x)

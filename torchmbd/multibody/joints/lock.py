@@ -56,7 +56,7 @@ class Lock(Joint):
                 (joint.name,),
                 allowed="a joint that moves",
                 noun=repr(joint.name),
-                state="cannot be locked: it leaves no degree of freedom",
+                state="cannot be locked, because it leaves no degree of freedom",
             )
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:

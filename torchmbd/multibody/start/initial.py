@@ -87,7 +87,7 @@ def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
         raise InputError(
             ("start", name),
             untransformed(x).tolist(),
-            rule=f"must be zero for mode {count + 1} and the following, because a design retains {count} modes",
+            f"zero for mode {count + 1} and the following, because a design retains {count} modes",
             shown=f"{untransformed(x).tolist()}",
             noun=f"start: {name!r}",
         )
@@ -319,7 +319,7 @@ class InitialConditions:
         rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > _CLOSED)
         raise DoesNotClose(
             "joints",
-            allowed="positions from which Newton's method can close all joints"
+            allowed="must have positions from which Newton's method can close all joints"
             + (", or start='equilibrium', which bends flexible bodies to close them" if T.flexible else ""),
             noun="the mechanism",
             state=f"does not close at the given positions, lengths and axes: {rows}",

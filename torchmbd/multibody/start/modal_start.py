@@ -74,7 +74,7 @@ def _refuse_padding(name: str, Kr: Tensor, w: Tensor) -> None:
     if not all_true(~is_padding(Kr) | (w == 0.0)):
         raise InputError(
             ("start", name),
-            allowed="zeros for modes beyond the number that was requested",
+            allowed="zero for modes beyond the number that was requested",
             state="has initial modal coordinates or rates of modes that a design does not retain",
             noun=f"{name!r}",
         )
@@ -87,9 +87,10 @@ def _refuse_turned(name: str, same: Tensor, w: Tensor) -> None:
         return
     raise InputError(
         ("start", name),
-        allowed="zeros for these modes, gradients with respect to variables that do not change these modes, or the last "
-        "state of a motion with the same gradients",
-        state="has initial modal coordinates or rates of modes of equal frequency. These modes have no derivatives "
-        "with respect to the design",
+        allowed="zero for these modes",
+        state="has initial modal coordinates or rates of modes of equal frequency, which have no "
+        "derivatives with respect to the design",
         noun=f"{name!r}",
+        hint="gradients with respect to variables that do not change these modes, or the last state of a "
+        "motion with the same gradients",
     )

@@ -131,7 +131,7 @@ class Start:
         counts += [len(x) for name, x in self.numbers.items() if x.dim() > _rank(name)]
         if not {1, max(counts, default=1)}.issuperset(counts):
             raise InputError(
-                "start", allowed="the same number for all, or one", state=f"has lanes {sorted(set(counts))}"
+                "start", allowed="must have the same number for all, or one", state=f"has lanes {sorted(set(counts))}"
             )
         return max(counts, default=1)
 
@@ -211,7 +211,7 @@ def _checked(system: Any, name: Any, x: Any) -> Tensor:
             sizes = (3, 3) if quantity == "axes" else (body.mode_counts[0],) if quantity in MODAL else (3,)
             quantities[f"{body.name}.{quantity}"] = sizes
     if name not in quantities:
-        raise unknown("in start the quantity", str(name), quantities, ("start", str(name)))
+        raise unknown("start: quantity", str(name), quantities, ("start", str(name)))
     shape = quantities[name]
     try:
         tensor = x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64)

@@ -74,7 +74,7 @@ class SupportedBody:
                 raise InputError(
                     "supports",
                     supports,
-                    "the node that it depends on",
+                    "must hold the node that it depends on",
                     state=f"hold node {f // 6} of {body.name!r}, which depends on another node",
                 )
         self.imposed = torch.zeros(len(free), 1, dtype=torch.float64)
@@ -86,7 +86,7 @@ class SupportedBody:
             raise InputError(
                 "supports",
                 supports,
-                "at least one free degree of freedom",
+                "must leave at least one free degree of freedom",
                 state=f"hold all degrees of freedom of {body.name!r}",
             )
         self.kept = kept.nonzero()[:, 0]
@@ -138,12 +138,12 @@ class SupportedBody:
 
     def free_at(self, fault: str, row: int) -> DesignFailure:
         """The error for supports that leave a rigid-body motion free; row: the free degree of freedom that moves most."""
-        return self._free(f"{fault}. {moving(self.assembly, int(self.kept[row]))}")
+        return self._free(f"{fault}, and {moving(self.assembly, int(self.kept[row]))}")
 
     def _free(self, fault: str) -> DesignFailure:
         path, noun = (self.name, "supports"), f"supports of {self.name!r}"
-        hint = "hold more degrees of freedom"
-        return DesignFailure(path, rule=f"leave it movable: {fault}", noun=noun, hint=hint)
+        allowed = "must hold more degrees of freedom"
+        return DesignFailure(path, allowed=allowed, noun=noun, state=f"leave it movable, because {fault}")
 
 
 def _states(displacements: Tensor, changes: Changes) -> Iterator[tuple[Tensor, Mapping[str, str]]]:
@@ -159,9 +159,9 @@ def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, 
     """Imposed displacements of the supported degrees of freedom 6 * node + i; none of a free body, where it is allowed."""
     if not isinstance(supports, Mapping) or not (supports or free_body):
         allowed = (
-            "nodes -> degrees of freedom, {} for a free body"
+            "a mapping node -> degrees of freedom, {} for a free body"
             if free_body
-            else "nodes -> degrees of freedom, at least one"
+            else "a mapping node -> degrees of freedom, with at least one node"
         )
         raise InputError((body.name, "supports"), supports, f"{allowed}, or None")
     imposed: dict[int, float] = {}
@@ -172,7 +172,7 @@ def _held(body: FlexibleBody, supports: Supports, free_body: bool) -> dict[int, 
                 if x is not None and imposed.setdefault(6 * node + i, x) != x:
                     raise InputError(
                         (body.name, "supports"),
-                        allowed="one value",
+                        allowed="must give one value",
                         state=f"give {FREEDOMS[i]} of node {node} two values",
                     )
     return imposed

@@ -139,7 +139,7 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
     unknown = [name for name in free if name not in [body.name for body in bodies]]
     if unknown:
         raise InputError(
-            "free", unknown, f"names of bodies, {[body.name for body in bodies]}", state=f"names {unknown}"
+            "free", unknown, f"must name bodies, {[body.name for body in bodies]}", state=f"names {unknown}"
         )
     frames = [frame for joint in joints for frame in joint.frames] + [x for force in forces for x in force.frames]
     connected = {id(frame.body) for frame in frames}
@@ -151,9 +151,9 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
         hint = f"; joints or forces hold other bodies of the names {', '.join(map(repr, others))}" if others else ""
         raise InputError(
             "bodies",
-            allowed=f"a joint for every body, or free={loose} for bodies that are meant to be free",
             state=f"holds {', '.join(map(repr, loose))}{hint}",
             noun="no joint and no force",
+            hint=f"a joint for every body, or free={loose} for bodies that are meant to be free",
         )
 
 

@@ -247,7 +247,12 @@ class Dynamics:
         """dz/dt of states z [lanes, n_z] or [n_z] at time t [s]; the same shape."""
         n = self.topology.n_q + self.topology.n_v
         if z.shape[-1] != n or z.dim() > 2:
-            raise InputError("z", allowed=f"[{n}] or [lanes, {n}]", state=f"has shape {tuple(z.shape)}", noun="state z")
+            raise InputError(
+                "z",
+                allowed=f"must have shape [{n}] or [lanes, {n}]",
+                state=f"has shape {tuple(z.shape)}",
+                noun="state z",
+            )
         if z.dtype != torch.float64 or z.device.type != "cpu":
             raise InputError("z", allowed="torch.float64 on cpu", state=f"is {z.dtype} on {z.device}", noun="state z")
         batch = z if z.dim() == 2 else z[None]

@@ -112,7 +112,7 @@ def _line(body: Any) -> BeamLine:
     if body.damping.ratios is not None or body.damping.rate != 0.0:
         raise InputError(
             (body.name,),
-            allowed="`damping` in proportion to stiffness",
+            allowed="must have `damping` in proportion to stiffness",
             noun=f"body {body.name!r}",
             state="of split has damping ratios, or a rate",
         )
@@ -121,7 +121,7 @@ def _line(body: Any) -> BeamLine:
     if line.node_module is not None or not torch.equal(line.elements, torch.stack([chain[:-1], chain[1:]], 1)):
         raise InputError(
             (body.name, "line"),
-            allowed="elements from each node to the next, in split",
+            allowed="must have elements from each node to the next, in split",
             state="has branches, or nodes that vary",
         )
     return line

@@ -114,7 +114,7 @@ class System(nn.Module):
             )
         )
         if not bodies:
-            raise InputError("bodies", bodies, "at least one body", state="is empty")
+            raise InputError("bodies", bodies, "must contain at least one body", state="is empty")
         # Bodies and forces of another system may be given, with the nodes and elements of its beams: a first node is its beam.
         bodies = [
             body.beam if isinstance(body, BeamNode) else body
@@ -130,11 +130,7 @@ class System(nn.Module):
         for name in names:
             if names.count(name) > 1:
                 raise InputError(
-                    "bodies",
-                    name,
-                    "unique names",
-                    state=f"is used {names.count(name)} times",
-                    noun=f"body name {name!r}",
+                    "bodies", name, "unique", state=f"is used {names.count(name)} times", noun=f"body name {name!r}"
                 )
         self.bodies = bodies
         register(self, "gravity", None if gravity is None else vector_or_parameter("gravity", gravity))
@@ -170,7 +166,7 @@ class System(nn.Module):
                 if frame.varying is not None and frame.varying.record.turns and frame.varying not in axes_in_use:
                     raise InputError(
                         (element.name, "turn"),
-                        allowed="turn of the other frame, or numbers",
+                        allowed="the turn of the other frame, or numbers",
                         state="is a design variable, but no axis of this frame is used, because joints take the axes of their "
                         "first frame",
                         noun=f"turn of frame {side} of {element.name!r}",
@@ -184,7 +180,7 @@ class System(nn.Module):
                 if taken or "." in name:
                     raise InputError(
                         (element.name,),
-                        allowed="an explicit name without a point, because its design variables get this name",
+                        allowed="must have an explicit name without a point, because its design variables get this name",
                         noun=repr(element.name),
                         state="has design variables",
                     )
@@ -352,7 +348,11 @@ class System(nn.Module):
             if x.shape[1:] != module_parameters[name].shape:
                 sizes = ", ".join(map(str, module_parameters[name].shape))
                 raise InputError(
-                    name, x, f"[lanes, {sizes}]", noun=f"parameter {name!r}", state=f"has shape {tuple(x.shape)}"
+                    name,
+                    x,
+                    f"must have shape [lanes, {sizes}]",
+                    noun=f"parameter {name!r}",
+                    state=f"has shape {tuple(x.shape)}",
                 )
             refuse_derivatives(f"parameter {name!r}", x, f"tangents=[{name!r}], or system() in reverse mode")
         lanes = {name: x.shape[0] for name, x in batch.items()}
@@ -363,7 +363,7 @@ class System(nn.Module):
         for name in tangents:
             if name not in batch:
                 raise InputError(
-                    "tangents", name, f"names among the given parameters, {list(batch)}", state=f"names {name!r}"
+                    "tangents", name, f"must name some of the given parameters, {list(batch)}", state=f"names {name!r}"
                 )
 
         mode_counts: list[tuple[int, ...]] = []  # of the calls of the stage, one number for each body

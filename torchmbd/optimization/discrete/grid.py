@@ -39,7 +39,7 @@ class Grid:
         entries = [allowed] * len(names) if allowed is None or _single(allowed) else _listed(allowed)
         if len(entries) != len(names):
             raise InputError(
-                "allowed", rule=f"has {len(entries)} entries for {len(names)} variables ({', '.join(names)})"
+                "allowed", allowed=f"must have {len(names)} ({', '.join(names)})", state=f"has {len(entries)} entries"
             )
         if getattr(problem, "has_extra_variable", False):
             if entries[-1] is not None and not _single(allowed):
@@ -54,8 +54,8 @@ class Grid:
         if not self.discrete.any():
             raise InputError(
                 "allowed",
-                rule="must have an increment or values for at least one variable",
                 hint="optimize or multistart",
+                allowed="must have an increment or values for at least one variable",
             )
 
     @property
@@ -165,15 +165,11 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
     if _single(entry):
         increment = float(_numbers(name, entry))
         if not (increment > 0.0 and np.isfinite(high - low)):
-            raise InputError(
-                ("allowed", name),
-                entry,
-                rule=f"must be positive, and its bounds must be finite; they are [{low:g}, {high:g}]",
-            )
+            raise InputError(("allowed", name), entry, f"positive, within finite bounds, which are [{low:g}, {high:g}]")
         if (high - low) / increment > MOST:
             count, place = (high - low) / increment, f"in the bounds [{low:g}, {high:g}]"
-            rule = f"must give at most {MOST} values, but gives {count:.3g} ({8 * count:.3g} bytes) {place}"
-            raise InputError(("allowed", name), entry, rule=rule)
+            allowed = f"must give at most {MOST} values, instead of {count:.3g} ({8 * count:.3g} bytes) {place}"
+            raise InputError(("allowed", name), entry, allowed)
         slack = ON * increment
         values = increment * np.arange(np.ceil((low - slack) / increment), np.floor((high + slack) / increment) + 1)
     else:
@@ -181,7 +177,7 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
         slack = 1e-12 * max(abs(low), abs(high), 1.0) if np.isfinite(high - low) else 0.0
         values = values[(values >= low - slack) & (values <= high + slack)]
     if not values.size or not np.isfinite(values).all():
-        raise InputError(("allowed", name), entry, rule=f"must have a value in the bounds [{low:g}, {high:g}]")
+        raise InputError(("allowed", name), entry, f"must have a value in the bounds [{low:g}, {high:g}]")
     return np.clip(values, low, high) + 0.0
 
 

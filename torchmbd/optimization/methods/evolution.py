@@ -43,7 +43,9 @@ def evolution(
     drawn = search.size - search.has_extra_variable
     if not np.isfinite((search.upper - search.lower)[:drawn]).all():
         raise InputError(
-            "bounds", rule="are infinite: method = 'differential_evolution' draws its designs from finite bounds"
+            "bounds",
+            allowed="finite, because method = 'differential_evolution' draws its designs from them",
+            state="are infinite",
         )
     search.eager_gradients = False  # the method does not use them
     first = search.begin(gradients=False)

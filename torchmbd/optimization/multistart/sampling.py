@@ -72,9 +72,7 @@ def starts_at(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
     designs = [as_numbers("points", point) for point in points]
     X = np.array(designs) if len({x.shape for x in designs}) == 1 else np.zeros(0)
     if X.ndim != 2 or not X.size:
-        raise InputError(
-            "points", rule="must be a list of at least one start design, each with one value for each variable"
-        )
+        raise InputError("points", allowed="a list of at least one start design, each with one value for each variable")
     return Starts("given", len(X), partial(_listed, X))
 
 
@@ -118,9 +116,9 @@ def _spread(unit: Callable[[int, int], np.ndarray], count: int, include_initial:
             raise InputError(
                 ("bounds", name),
                 (low, high),
-                rule=f"are [{low:g}, {high:g}]: starts can be spread over finite bounds only",
-                shown="",
                 noun=f"bounds of {name}",
+                allowed="finite, because starts are spread over them",
+                state=f"are [{low:g}, {high:g}]",
             )
     number = count - include_initial
     X = lower + (upper - lower) * unit(lower.size, number) if number else np.zeros((0, lower.size))

@@ -44,7 +44,7 @@ def study_of(data: StudyFile, system: System, file: Path, overrides: tuple[str, 
         if data.design[name].lower is None or data.design[name].upper is None:
             raise InputError(
                 name,
-                allowed="lower and upper, because some entries are not determined by links",
+                allowed="must have lower and upper, because some entries are not determined by links",
                 state="does not have both bounds",
             )
     searched: Any = problem

@@ -243,7 +243,7 @@ def _number_faults(name: str, variable: Variable, make: Callable[..., DesignSpac
     missing = [key for key in ("lower", "upper") if getattr(variable, key) is None]
     if len(missing) == 2 and all(entry.rpartition("[")[0] != name for entry in space.names):
         missing = []  # every entry follows others
-    return [Fault(("design", name, key), "is missing; allowed: a number") for key in missing] + of_keys
+    return [Fault(("design", name, key), "is missing: must be a number") for key in missing] + of_keys
 
 
 def _faults_of(name: str, variable: Variable, construct: Callable[[], Any]) -> list[Fault]:
@@ -265,11 +265,12 @@ def _design_fault(error: InputError, name: str, variable: Variable) -> Fault:
     if key not in _OF_NUMBERS:
         return Fault(("design", name), f": {error}")
     value = getattr(variable, key)
-    text = "is not given, and the model is built with" if value is None else f"= {value}:"
+    text = "is not given, and the model is built with" if value is None else f"= {value}"
     if error.hint:  # an angle of more than a turn
-        text, error.hint = f"= {value} with unit: {variable.unit}:", "unit: deg"
+        text, error.hint = f"= {value} with unit: {variable.unit}", "unit: deg"
     index = f"{str(entry).removeprefix(name)}{''.join(f'[{k}]' for k in indices)} ".lstrip()
-    return Fault(("design", name, key), f"{text} {index}{error.predicate()}")
+    joint = ":" if value is not None and (index or not error.state) else ""
+    return Fault(("design", name, key), f"{text}{joint} {index}{error.reason}")
 
 
 def _add_points(faults: Faults, sections: Sections, space: DesignSpace) -> None:
@@ -279,8 +280,8 @@ def _add_points(faults: Faults, sections: Sections, space: DesignSpace) -> None:
         try:
             space.point("start", point_in_si(design, space.names, point), np.zeros(len(space.names)))
         except InputError as error:
-            entry = f"{error.path[1]} " if len(error.path) > 1 else ""
-            faults.append(Fault(("starts", "points", k), f"= {point}: {entry}{error.predicate()}"))
+            entry = f": {error.path[1]} " if len(error.path) > 1 else " "
+            faults.append(Fault(("starts", "points", k), f"= {point}{entry}{error.reason}"))
     for name, span in sweep_in_si(design, sweep or {}).items():
         with faults.at("sweep", name):
             sweep_values(name, span, space.names, space.lower, space.upper)

@@ -48,7 +48,7 @@ def read_experiment(source: Source) -> tuple[Kind, Any]:
         raise StudyError(document.source, located(absent, document.lines))
     kind = kind_of(document.data)
     sections, faults = validate(document.data, kind.sections)
-    experiment: Any = kind.read(source, sections, [_with_absence(fault) for fault in faults])
+    experiment: Any = kind.read(source, sections, [_with_absence(fault, kind) for fault in faults])
     if isinstance(experiment, list):
         raise StudyError(document.source, located(experiment, document.lines))
     return kind, experiment
@@ -69,9 +69,10 @@ def _absent(data: Any) -> list[Fault]:
     return [Fault((key,), f": {absence}") for key in keys if (absence := KINDS.absence(key))]
 
 
-def _with_absence(fault: Fault) -> Fault:
+def _with_absence(fault: Fault, kind: Kind) -> Fault:
     """The fault of an unknown section, with a hint where no extension is installed that might know it."""
-    unknown = len(fault.path) == 1 and fault.text.startswith("unknown key")
+    fields = kind.sections.model_fields.items()
+    unknown = len(fault.path) == 1 and fault.path[0] not in [field.alias or name for name, field in fields]
     absence = KINDS.missing(str(fault.path[0])) if unknown else None
     return replace(fault, text=f"{fault.text}; {absence}") if absence else fault
 

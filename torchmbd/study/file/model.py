@@ -24,7 +24,7 @@ from types import ModuleType
 from typing import Any, cast
 
 from torchmbd.design import History, Measure
-from torchmbd.errors import InputError, nearest, user_line
+from torchmbd.errors import InputError, must, must_be_one, nearest, user_line
 from torchmbd.integrate import Phase
 from torchmbd.multibody.system import System
 from torchmbd.process import file_of
@@ -57,7 +57,7 @@ def find_phases(spec: str, folder: Path) -> list[Phase]:
     with _user_code():
         phases = function()
     if not isinstance(phases, list) or not all(isinstance(phase, Phase) for phase in phases):
-        raise _refused(spec, f"returns {phases!r}; allowed: a list of mbd.Phase")
+        raise _refused(spec, f"returns {phases!r}", "must return a list of mbd.Phase")
     return phases
 
 
@@ -74,20 +74,24 @@ def find_function(spec: str, folder: Path) -> Callable[..., Any]:
         module_name, _, function_name = spec.rpartition(":")
         module = _module(module_name, folder)
         functions = [name for name, value in vars(module).items() if inspect.isfunction(value) and name[0] != "_"]
-        raise _refused(spec, f"{module_name} has no function {function_name!r}{nearest(function_name, functions)}")
+        state = f"names no function of {module_name}"
+        raise _refused(spec, state, must(functions), nearest(function_name, functions))
     return function
 
 
-def _refused(spec: str, rule: str) -> InputError:
-    """Return the error of the name of a function; the key that has the name is the reader's."""
-    return InputError((), spec, rule=rule, noun="function", shown=shown(spec))
+def _refused(spec: str, state: str = "", allowed: str = "", hint: str = "") -> InputError:
+    """Return the error of the name of a function; the key that has the name is the reader's.
+
+    state   words after the name
+    """
+    return InputError((), spec, allowed, hint, noun="function", state=f"= {shown(spec)} {state}".rstrip())
 
 
 def _named(spec: str, folder: Path) -> Any:
     """Return the object that `spec` names, None if the module has no such name."""
     module_name, _, name = spec.rpartition(":")
     if not module_name or not name:
-        raise _refused(spec, "allowed: package.module:function or path/to/file.py:function")
+        raise _refused(spec, allowed="package.module:function or path/to/file.py:function")
     return getattr(_module(module_name, folder), name, None)
 
 
@@ -102,8 +106,7 @@ def require_returns(spec: str, function: Callable[..., Any], allowed: tuple[str,
     if annotation is None or name.partition("[")[0].rpartition(".")[2] not in allowed:
         returned = "nothing" if annotation is None else f"-> {name}"
         types = " or ".join(allowed)
-        rule = f"the function says {returned} about what it returns; allowed: a function annotated with -> {types}"
-        raise _refused(spec, rule)
+        raise _refused(spec, f"says {returned} about what it returns", f"annotated with -> {types}")
 
 
 def _inside(name: str, folder: Path) -> Path:
@@ -111,7 +114,7 @@ def _inside(name: str, folder: Path) -> Path:
     file = (folder / file_of(name)).resolve()
     if file_of(name).is_absolute() or not file.is_relative_to(folder.resolve()):
         allowed = f"a Python file in {folder} or below, or an importable module"
-        raise _refused(name, f"lies outside the folder of the experiment file; allowed: {allowed}")
+        raise _refused(name, "lies outside the folder of the experiment file", allowed)
     return file
 
 
@@ -123,13 +126,13 @@ def option_faults(builder: Builder, options: Mapping[str, Any]) -> list[Fault]:
     if not any(p.kind is p.VAR_KEYWORD for p in parameters):
         names = [p.name for p in named]
         faults = [
-            Fault(("options", key), f"unknown option{nearest(key, names)} (given: {shown(options[key])})")
+            Fault(("options", key), f"= {shown(options[key])} is not an option: {must_be_one(key, names)}")
             for key in options
             if key not in names
         ]
     missing = [p.name for p in named if p.default is p.empty and p.name not in options]
     return faults + [
-        Fault(("options", name), "is missing: the model has no default for it; allowed: a value") for name in missing
+        Fault(("options", name), "is missing, and the model has no default for it: must be given") for name in missing
     ]
 
 
@@ -150,8 +153,8 @@ def _user_code() -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        rule = f"raised {type(error).__name__} in {user_line(error)}: {error}"
-        raise InputError((), rule=rule, noun="the function") from error
+        state = f"raised {type(error).__name__} in {user_line(error)}: {error}"
+        raise InputError((), noun="the function", state=state) from error
 
 
 def scenario_systems(
@@ -177,16 +180,14 @@ def _from_name(name: str) -> ModuleType:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         allowed = "an importable module, or a Python file beside the experiment file"
-        raise _refused(name, f"module {name!r} cannot be imported: {error}; allowed: {allowed}") from None
+        raise _refused(name, f"cannot be imported ({error})", allowed) from None
     except Exception as error:
-        raise _refused(name, f"module {name!r} cannot be imported: {type(error).__name__}: {error}") from error
+        raise _refused(name, f"cannot be imported ({type(error).__name__}: {error})") from error
 
 
 def _from_file(file: Path) -> ModuleType:
     if not file.is_file():
-        raise _refused(
-            str(file), f"file {file} does not exist; allowed: a Python file, relative to the experiment file"
-        )
+        raise _refused(str(file), "does not exist", "a Python file, relative to the experiment file")
     module = _executed.get(file) or _imported_from(file)
     if module is not None:
         return module
@@ -202,7 +203,7 @@ def _from_file(file: Path) -> ModuleType:
             spec.loader.exec_module(module)
     except Exception as error:
         del _executed[file]
-        raise _refused(str(file), f"file {file} cannot be imported: {type(error).__name__}: {error}") from error
+        raise _refused(str(file), f"cannot be imported ({type(error).__name__}: {error})") from error
     return module
 
 

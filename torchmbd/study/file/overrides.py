@@ -18,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from torchmbd.errors import Path, dotted, nearest
+from torchmbd.errors import Path, dotted, must_be_one
 from torchmbd.study.file.faults import Fault, StudyError
 from torchmbd.study.file.yaml_file import Document, parse_yaml
 
@@ -102,7 +102,7 @@ def _resolve(data: Any, words: list[str], sections: Collection[str]) -> Path:
 def _index(word: str, items: list[Any], path: Path) -> int:
     if not word.isascii() or not word.isdigit() or int(word) >= len(items):
         raise LookupError(
-            f"{dotted((*path, word))}: no such place in a list of {len(items)}{nearest(word, range(len(items)))}"
+            f"{dotted((*path, word))}: no such place in a list of {len(items)}: {must_be_one(word, range(len(items)))}"
         )
     return int(word)
 

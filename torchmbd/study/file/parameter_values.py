@@ -31,7 +31,7 @@ def with_values_of_file(document: Document, folder: Path) -> None:
     named = folder / document.data[KEY]
     values = read_yaml(named)
     if not isinstance(values.data, dict):
-        raise StudyError(str(named), [Fault((), "has no parameters; allowed: name: {value: ..., unit: ...}")])
+        raise StudyError(str(named), [Fault((), "has no parameters: must have name: {value: ..., unit: ...}")])
     document.data[KEY] = values.data
     for path, line in values.lines.items():
         document.lines[(KEY, *path)] = f"{named}, line {line}"

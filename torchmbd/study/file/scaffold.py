@@ -114,21 +114,20 @@ def write_experiment(file: Path, model: str | None = None) -> list[Path]:
 def parts_of(model: str, folder: Path) -> Parts:
     """Build a model, `path/to/file.py:function` below the folder or `package.module:function`, and return its parts."""
     from torchmbd.multibody.bodies import FlexibleBody
-    from torchmbd.study.file.faults import shown
     from torchmbd.study.file.model import build_model, find_model
 
     try:
         function = find_model(model, folder)
     except InputError as error:
-        raise InputError("model", model, rule=error.rule, shown=shown(model)) from error
+        raise InputError("model", model, error.allowed, error.hint, state=error.state) from error
     needed = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
     if needed:
         raise InputError(
             "model",
             model,
-            rule=f"needs the arguments {', '.join(needed)}; allowed: a function whose arguments all have defaults",
-            shown="",
+            "a function whose arguments all have defaults",
             noun=f"model {model!r}",
+            state=f"needs the arguments {', '.join(needed)}",
         )
     system = build_model(function, {})
     bodies = [body.name for body in system.bodies if isinstance(body, FlexibleBody)]

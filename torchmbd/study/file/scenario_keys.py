@@ -40,7 +40,7 @@ def _in_their_units(settings: dict[str, Numbers | Setting]) -> dict[str, Numbers
                 raise fault(f"= {x.value} with unit: {x.unit}: {text}", name)
         elif units.quantity(name) == "rad":
             allowed = f"{{value: {x}, unit: deg}}, or unit: rad"
-            raise fault(f"= {x}: is an angle without a unit; allowed: {allowed}", name)
+            raise fault(f"= {x}: must have a unit, because it is an angle. Try: {allowed}", name)
     return settings
 
 
@@ -70,7 +70,7 @@ class Scenario(Section):
     @model_validator(mode="after")
     def _sets_something(self) -> Self:
         if not self.set and not self.options:
-            raise fault(": sets nothing; must have set, options or both")
+            raise fault(": sets nothing: must have set, options or both")
         return self
 
     @property

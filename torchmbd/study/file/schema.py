@@ -65,7 +65,7 @@ def _readable(spec: dict[str, Any]) -> dict[str, Any]:
     try:
         measure_of(spec)
     except SpecError as error:
-        raise PydanticCustomError("response", "{text}", {"text": error.rule, "path": error.path}) from error
+        raise PydanticCustomError("response", "{text}", {"text": error.reason, "path": error.path}) from error
     return spec
 
 
@@ -91,7 +91,7 @@ class Bounded(Section):
         for key in ("lower", "upper") if self.unit == "deg" else ():
             x = getattr(self, key)
             if x is not None and (text := turn_in_radians(x if isinstance(x, list) else [x])):
-                raise fault(f"= {x} with unit: deg: {text}; allowed: degrees, or unit: rad", key)
+                raise fault(f"= {x} with unit: deg: {text}: must be in degrees. Try: unit: rad", key)
         return self
 
 
@@ -186,16 +186,18 @@ class Constraint(Section):
     def _one_limit_in_its_unit(self) -> Self:
         kinds = [key for key in LIMIT_KINDS if getattr(self, key) is not None]
         if len(kinds) != 1:
-            raise fault(f": has {' and '.join(kinds) or 'no limit'}; must have exactly one of {', '.join(LIMIT_KINDS)}")
+            raise fault(f": has {' and '.join(kinds) or 'no limit'}: must have exactly one of {', '.join(LIMIT_KINDS)}")
         si = unit(measure_of(self.measure))
         numbers = [x for x in (self.limit, self.scale) if isinstance(x, float)]
         if self.unit is None and si == "rad" and numbers:
-            raise fault(f": has a limit of an angle ({numbers[0]:g}) and no unit; must have unit: deg or unit: rad")
+            raise fault(f": has a limit of an angle ({numbers[0]:g}) and no unit: must have unit: deg or unit: rad")
         if self.unit is not None and si is not None and units.UNITS[self.unit][1] != si:
-            allowed = ", ".join(units.units_of(si)) or f"none: limits are in {si}"
-            raise fault(f": has unit: {self.unit}, and a response in {si or 'plain numbers'}; allowed: {allowed}")
+            allowed = ", ".join(units.units_of(si)) or f"none, because limits are in {si}"
+            raise fault(
+                f": has unit: {self.unit}, and a response in {si or 'plain numbers'}: must have one of the units {allowed}"
+            )
         if self.unit == "deg" and (said := turn_in_radians(numbers[:1])):
-            raise fault(f": has unit: deg, and {said}; allowed: degrees, or unit: rad")
+            raise fault(f": has unit: deg, and {said}: must be in degrees. Try: unit: rad")
         return self
 
     @property
@@ -251,10 +253,10 @@ class Starts(Section):
             if (getattr(self, key) is not None) != (key == wanted):
                 verb = "needs" if key == wanted else "takes no"
                 allowed = "sobol and latin_hypercube with count, given with points"
-                raise fault(f": sampler {self.sampler!r} {verb} {key!r}; allowed: {allowed}")
+                raise fault(f": sampler {self.sampler!r} {verb} {key!r}: must be {allowed}")
         if self.sampler == "none" and not self.include_initial:
             allowed = "include_initial: true"
-            raise fault(f": sampler 'none' with include_initial: false leaves no start; allowed: {allowed}")
+            raise fault(f": sampler 'none' with include_initial: false leaves no start: must have {allowed}")
         return self
 
 
@@ -335,18 +337,18 @@ class StudyFile(Section):
         keys = {key for key in type(self).model_fields if getattr(self, key) is not None}
         keys |= {"tolerance"} if any(variable.tolerance is not None for variable in self.design.values()) else set()
         if not keys & {*OBJECTIVE_KEYS}:
-            text = "is missing; allowed: a response, such as {integral: {strain_energy: rod}}, or instead of it "
+            text = "is missing: must be a response, such as {integral: {strain_energy: rod}}, or instead of it "
             raise fault(text + " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:]), "minimize")
         for key in (key for key in _EXCLUSIVE if key in keys):
             if others := [other for other in _EXCLUSIVE[key] if other in keys]:
-                raise fault(f"and {' and '.join(others)} are both given; allowed: one without the other", key)
+                raise fault(f"and {' and '.join(others)} are both given: must not be given together", key)
         if "robust" in keys and "tolerance" not in keys:
-            raise fault(f"= {self.robust!r}: no variable has a tolerance; allowed: with one in design", "robust")
+            raise fault(f"= {self.robust!r}: must have a variable with a tolerance in design", "robust")
         if "combine" in keys and "scenarios" not in keys:
-            raise fault("is given without scenarios; allowed: both, or none", "combine")
+            raise fault("is given without scenarios: must be given with them", "combine")
         names = [scenario.name for scenario in self.scenarios or () if scenario.name is not None]
         if len({*names}) < len(names):
-            raise fault(f": have the names {names}; allowed: each name once", "scenarios")
+            raise fault(f": have the names {names}: must have each name once", "scenarios")
         return self
 
     def resolved(self) -> dict[str, Any]:

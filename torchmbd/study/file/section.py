@@ -9,7 +9,7 @@ from annotated_types import Len
 from pydantic import AfterValidator, BaseModel, ConfigDict, field_validator
 from pydantic_core import PydanticCustomError
 
-from torchmbd.errors import nearest
+from torchmbd.errors import must_be_one
 from torchmbd.math import units
 from torchmbd.study.file.faults import shown
 
@@ -28,7 +28,7 @@ class NameOf(AfterValidator):
     def __init__(self, names: Collection[str]) -> None:
         def check(name: str) -> str:
             if name not in names:
-                raise fault(f"= {shown(name)}: {nearest(name, names)[2:]}")
+                raise fault(f"= {shown(name)}: {must_be_one(name, names)}")
             return name
 
         super().__init__(check)
@@ -62,5 +62,5 @@ class Section(BaseModel):
     def _no_empty_value(cls, value: Any) -> Any:
         """A key without a value was most likely forgotten: its default is that of no key."""
         if value is None:
-            raise fault("= null: no value; allowed: a value, or the file without this key")
+            raise fault("= null: must have a value, or be left out")
         return value

@@ -13,7 +13,7 @@ from typing import Any, Union, cast, get_args, get_origin
 from pydantic import ValidationError, create_model
 from pydantic_core import ErrorDetails
 
-from torchmbd.errors import Path, nearest
+from torchmbd.errors import Path, must, must_be_one
 from torchmbd.study.file.faults import Fault, shown
 from torchmbd.study.file.schema import LIMIT_KINDS, UNITS, Section
 from torchmbd.tracking.uri import StoreURI
@@ -23,10 +23,10 @@ _FUNCTION = "package.module:function or path/to/file.py:function"
 _ALLOWED = {
     "model": _FUNCTION,
     "figures": _FUNCTION,
-    "design": "parameters of the model, each with lower, upper and unit",
-    "simulate": "duration, and what else torchmbd.simulate takes",
+    "design": "must have parameters of the model, each with lower, upper and unit",
+    "simulate": "must have duration, and what else torchmbd.simulate takes",
     "minimize": "a response, such as {integral: {strain_energy: rod}}",
-    "unit": ", ".join(UNITS),
+    "unit": f"one of {', '.join(UNITS)}",
     "count": "a whole number",
     **dict.fromkeys(("lower", "upper", "duration", "from", "to"), "a number"),
 }
@@ -61,7 +61,7 @@ def validate(data: Any, kind: type[Section]) -> tuple[dict[str, Any], list[Fault
     """
     if not isinstance(data, dict):
         keys = ", ".join(f"{key}:" for key in _keys((), kind))
-        return {}, [Fault((), f"is {shown(data)}; allowed: sections such as {keys}")]
+        return {}, [Fault((), f"is {shown(data)}: must have sections such as {keys}")]
     try:
         return dict(kind.model_validate(data)), []
     except ValidationError as error:
@@ -125,11 +125,11 @@ def _path(details: ErrorDetails, data: Any) -> Path:
 def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str:
     kind, value = details["type"], _shown_input(details, path)
     if kind == "missing":
-        return f"is missing; allowed: {_ALLOWED.get(str(path[-1]), 'a value')}"
+        return f"is missing: {must(_ALLOWED.get(str(path[-1]), 'given'))}"
     if kind == "extra_forbidden":
-        return f"unknown key{nearest(path[-1], _keys(path[:-1], kind_of_file))} (given: {shown(value)})"
+        return f"= {shown(value)} is an unknown key: {must_be_one(path[-1], _keys(path[:-1], kind_of_file))}"
     if kind == "string_pattern_mismatch" and path in (("model",), ("figures",), ("simulate", "phases")):
-        return f"= {shown(value)}: matches no pattern; allowed: {_ALLOWED['model']}"
+        return f"= {shown(value)}: must be {_ALLOWED['model']}"
     if kind == "response" and path[0] == "subject_to" and len(path) == 3:  # perhaps a limit that is misspelt
         return f"{details['msg']}; a limit is one of {', '.join(LIMIT_KINDS)}"
     if kind in ("fault", "response"):
@@ -137,10 +137,10 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
     if kind in ("model_type", "dict_type"):
         return f"= {shown(value)}: must be a mapping (key: value)"
     if kind == "too_short" and path == ("design",):
-        return "is empty; must have at least one parameter of the model"
+        return "is empty: must have at least one parameter of the model"
     if kind in ("too_short", "too_long") and isinstance(value, dict):
         least = details.get("ctx", {}).get("min_length", 1)
-        return f"has {len(value)} keys; must have {'exactly one' if path == ('sweep',) else f'{least} or more'}"
+        return f"has {len(value)} keys: must have {'exactly one' if path == ('sweep',) else f'{least} or more'}"
     rule = _MUST[kind].format(**details.get("ctx", {})) if kind in _MUST else details["msg"]
     return f"= {shown(value)}: {rule}"
 
@@ -154,7 +154,7 @@ def _shown_input(details: ErrorDetails, path: Path) -> object:
 def _either(texts: list[str], value: object) -> str:
     """Join the messages of the branches of a union about one value; a hint "did you mean" comes last."""
     first, *others = texts
-    first, meant, hint = first.partition("; did you mean ")
+    first, meant, hint = first.partition(". Try: ")
     said = [other.removeprefix(f"= {shown(value)}: ").removeprefix("must be ") for other in others]
     return first + "".join(f"; or {other}" for other in said) + meant + hint
 

@@ -55,7 +55,7 @@ def read_yaml(path: str | FilePath) -> Document:
     except OSError as error:
         raise StudyError(str(path), [Fault((), f"cannot be read: {error.strerror}")]) from None
     if len(content) > _MAX_BYTES:
-        fault = Fault((), f"has {len(content)} bytes; allowed: up to {_MAX_BYTES}")
+        fault = Fault((), f"has {len(content)} bytes: must have at most {_MAX_BYTES}")
         raise StudyError(str(path), [fault])
     try:
         text = content.decode("utf-8")
@@ -65,7 +65,7 @@ def read_yaml(path: str | FilePath) -> Document:
     return parse_yaml(text, str(path))
 
 
-_QUOTED = """; allowed within { }: names with [ ] in quotes, such as {"rod.laminate.angles[0]": -1}"""
+_QUOTED = """. Try: within { }, names with [ ] in quotes, such as {"rod.laminate.angles[0]": -1}"""
 
 
 def parse_yaml(text: str, source: str = "<text>") -> Document:
@@ -94,12 +94,12 @@ def scalar(text: str) -> Any:
         return _WORDS[text.lower()]
     if _INT.fullmatch(text):
         if len(text) > _MAX_DIGITS:
-            raise ValueError(f"has {len(text)} digits; allowed: up to {_MAX_DIGITS}")
+            raise ValueError(f"has {len(text)} digits: must have at most {_MAX_DIGITS}")
         return int(text)
     if _FLOAT.fullmatch(text):
         value = float(text)
         if not math.isfinite(value):
-            raise ValueError(f"= {text}: out of the range of a float; allowed: up to 1.8e308")
+            raise ValueError(f"= {text}: must be at most 1.8e308, the largest float")
         return value
     return text
 
@@ -133,16 +133,16 @@ class _Builder:
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if documents > 1:
-                    self.fault((), "a second document (---); allowed: one", event)
+                    self.fault((), "a second document (---): must have one document", event)
                     return
                 self.data = self.value(next(events), events, ())
 
     def value(self, event: yaml.Event, events: Iterator[yaml.Event], path: Path) -> Any:
         self.lines.setdefault(path, event.start_mark.line + 1)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-            self.fault(path, "anchors (&) and aliases (*) are not allowed; allowed: plain values", event)
+            self.fault(path, "must be plain values, without anchors (&) and aliases (*)", event)
         if tag := getattr(event, "tag", None):
-            self.fault(path, f"tag {tag!r} is not allowed; allowed: plain values", event)
+            self.fault(path, f"must be a plain value, without the tag {tag!r}", event)
         if isinstance(event, yaml.CollectionStartEvent) and len(path) >= _MAX_DEPTH:
             raise yaml.MarkedYAMLError(problem=f"nested more than {_MAX_DEPTH} deep", problem_mark=event.start_mark)
         if isinstance(event, yaml.MappingStartEvent):
@@ -163,7 +163,7 @@ class _Builder:
             self.value(event, iter(()), (*path, event.value))  # a tag or an anchor on a key is a fault as well
             key = event.value
             if key in first:
-                self.fault((*path, key), f"is given twice (first in line {first[key]}); allowed: once", event)
+                self.fault((*path, key), f"is given twice (first in line {first[key]}): must be given once", event)
             first.setdefault(key, line)
             self.lines[(*path, key)] = line
             result[key] = self.value(next(events), events, (*path, key))

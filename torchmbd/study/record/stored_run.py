@@ -105,7 +105,8 @@ def load_run(run: str, uri: str | StoreURI | None = None, model: Models = ()) ->
         raise InputError(
             "run",
             entry.run_id,
-            "run() of the same mbd.Study, which reads all evaluations from the disk",
+            "a study of a file",
+            hint="run() of the same mbd.Study, which reads all evaluations from the disk",
             state="was made in Python",
             noun=f"run {entry.run_id[:8]}",
         )

@@ -53,5 +53,5 @@ def _store(study: StudyState) -> StoreURI:
     named = StoreURI(tracking["uri"]) if "uri" in tracking else None
     whole = named if named is not None and str(named) == str(study.uri) else store_uri()
     if str(whole) != str(study.uri):
-        raise MbdError("its user and password are on no disk; allowed: the whole URI as MLFLOW_TRACKING_URI")
+        raise MbdError("its user and password are on no disk. Try: the whole URI as MLFLOW_TRACKING_URI")
     return whole

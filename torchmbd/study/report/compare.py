@@ -70,7 +70,7 @@ _IGNORED = (
 def print_best(run: str | None, uri: str | None, count: int, console: Console) -> None:
     """Print the best starts (or points) of a study; `run` None: of the latest study."""
     if count < 1:
-        raise InputError("count", count, rule="must be 1 or more", shown=f"{count}")
+        raise InputError("count", count, "1 or more", shown=f"{count}")
     store = store_uri(uri)
     entry = find(store, run) if run else next(iter(studies(store)), None)
     if entry is None:
@@ -187,8 +187,9 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
         raise InputError(
             "a",
             a,
-            "two runs; torchmbd list has their ids",
+            "two runs",
             state=f"= {a!r} and b = {b!r} are the same run, {first.run_id[:8]}",
+            hint="torchmbd list, which shows their ids",
         )
     table = _table("what differs, and how they ended")
     for title in ("", f"{first.name} {first.run_id[:8]}", f"{second.name} {second.run_id[:8]}"):

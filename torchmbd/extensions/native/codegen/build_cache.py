@@ -36,9 +36,9 @@ def refusal(path: Path) -> str | None:
     except FileNotFoundError:
         return None
     if status.st_uid != os.geteuid():
-        return f"{path} belongs to another user; allowed: your own"
+        return f"{path} belongs to another user: must be your own"
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        return f"{path} can be written by others; allowed: by you alone (chmod go-w)"
+        return f"{path} can be written by others: must be writable by you alone. Try: chmod go-w"
     return None
 
 

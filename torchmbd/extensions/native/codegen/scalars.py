@@ -226,7 +226,7 @@ class _Run:
         if isinstance(exponent, float) and exponent == 0.5:
             return self.each("sqrt", a)
         if isinstance(a, (int, float)) or not isinstance(exponent, (int, float)) or exponent not in range(1, 9):
-            raise Untraceable(f"the power {exponent!r} cannot be written out; allowed: 1/2 and 1 to 8")
+            raise Untraceable(f"the power {exponent!r} cannot be written out: must be 1/2, or 1 to 8")
         half = a if exponent < 4 else self.op_pow(a, exponent // 2)
         square = self.each("mul", half, half) if exponent > 1 else a
         return self.each("mul", a, square) if exponent > 1 and exponent % 2 else square

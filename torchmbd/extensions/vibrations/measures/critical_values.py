@@ -64,7 +64,11 @@ def root(
     )
     if not slope:
         raise DesignFailure(
-            "between", p, "curves that cross", noun=name, state=f"has no derivative at {p:g}, where two curves touch"
+            "between",
+            p,
+            "must have curves that cross",
+            noun=name,
+            state=f"has no derivative at {p:g}, where two curves touch",
         )
     y = g(torch.tensor(p, dtype=torch.float64), designs, more, False)
     return p - (y - y.detach()) / slope
@@ -198,7 +202,7 @@ class CriticalSpeed(OfVibrations):
                 raise DesignFailure(
                     "observer",
                     shaft.observer,
-                    "a round shaft, whose vibrations whirl",
+                    "must see a round shaft, whose vibrations whirl",
                     noun="an observer at rest",
                     state=f"sees several frequencies of vibration {k + 1} at {float(speeds[i]):g} rad/s",
                     hint=f"CampbellClearance for blades; {_BALANCED}",
@@ -221,9 +225,10 @@ class CriticalSpeed(OfVibrations):
             raise DesignFailure(
                 "between",
                 self.between,
-                "another range, or more points",
+                "in the range",
                 noun=f"critical speed {self.number} of order {self.order:g}",
                 state=f"is not between {low:g} and {high:g} rad/s, where {len(crossings)} are found",
+                hint="another range, or more points",
             )
         crossings = sorted(crossings)[: self.number]
         for _, i, k in crossings:
@@ -231,10 +236,11 @@ class CriticalSpeed(OfVibrations):
                 raise DesignFailure(
                     "between",
                     self.between,
-                    "another range",
+                    "in a range where all vibrations decay",
                     noun=f"critical speed {self.number}",
-                    state=f"is not known: between {float(speeds[i]):g} and {float(speeds[i + 1]):g} rad/s "
-                    f"frequency {k + 1} ends, because vibrations without damping grow",
+                    state=f"is not known, because between {float(speeds[i]):g} and {float(speeds[i + 1]):g} "
+                    f"rad/s frequency {k + 1} ends, where vibrations without damping grow",
+                    hint="another range",
                 )
         _, i, k = crossings[-1]
         return float(speeds[i]), float(speeds[i + 1]), k
@@ -326,7 +332,7 @@ class StabilityLimit(OfVibrations):
                 raise DesignFailure(
                     "parameter",
                     self.parameter,
-                    "damping of all vibrations, and no free motion",
+                    "must have damping of all vibrations, and no free motion",
                     noun=f"{self.parameter} = {float(values[i]):g}",
                     state="has a vibration that neither decays nor grows, before others begin to grow",
                 )
@@ -335,7 +341,8 @@ class StabilityLimit(OfVibrations):
         raise DesignFailure(
             "between",
             self.between,
-            "another range, or more points",
+            "must have a limit of stability",
             noun=f"{self.parameter} between {low:g} and {high:g}",
-            state=f"has no limit of stability: {state}",
+            state=f"has no limit of stability, because {state}",
+            hint="another range, or more points",
         )

@@ -70,9 +70,10 @@ def _shape(system: System, key: _Key) -> NodalShape:
         raise DesignFailure(
             "number",
             number,
-            "others, or follow=False",
+            "must have a shape of its own",
             noun=f"vibration {number} of the system as it was built",
-            state=f"has no shape to follow: it is {why}",
+            state=f"has no shape to follow, because it is {why}",
+            hint="another number, or follow=False",
         )
     modes = {name: x[0].detach().clone() for name, x in states.modes.items()}
     shape = NodalShape(spectrum.right[:, i].clone(), states.dynamics.topology, modes)

@@ -121,11 +121,11 @@ class SystemFrequency(OfVibrations):
                 raise InputError(
                     "number",
                     self.number,
-                    "number or cluster, not both",
+                    "left out with a cluster",
                     state=f"is {self.number}, and cluster is {self.cluster}",
                 )
         if true_or_false("follow", self.follow) and self.cluster is not None:
-            raise InputError("follow", allowed="with a number", state=f"is True with cluster {self.cluster}")
+            raise InputError("follow", allowed="given with a number", state=f"is True with cluster {self.cluster}")
         if scalar("power", self.power, "a finite number other than 0") == 0.0:
             raise InputError("power", self.power, "a finite number other than 0")
 
@@ -226,9 +226,9 @@ class StabilityMargin(OfVibrations):
         if not growth.shape[1]:
             raise DesignFailure(
                 "system",
-                allowed="one degree of freedom at least",
+                allowed="must have at least one degree of freedom",
                 noun="the system",
-                state="has no vibrations: its joints leave no degree of freedom",
+                state="has no vibrations, because its joints leave no degree of freedom",
             )
         if self.sharpness is not None:
             return torch.logsumexp(self.sharpness * growth, -1) / self.sharpness

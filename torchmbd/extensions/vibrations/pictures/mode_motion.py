@@ -111,9 +111,10 @@ def _vibration(rest: Equilibrium, number: Any, lane: int) -> tuple[Tensor, Tenso
         raise InputError(
             "number",
             number,
-            "another vibration",
+            "must have a shape of its own",
             noun=f"vibration {number}",
-            state=f"has no shape of its own: it is {spectrum.fault[k]}",
+            state=f"has none, because it is {spectrum.fault[k]}",
+            hint="another vibration",
         )
     r = spectrum.right[:, k]
     return s[k], r * torch.exp(-0.5j * (r**2).sum().angle()) / r.abs().max()

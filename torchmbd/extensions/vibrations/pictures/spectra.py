@@ -231,7 +231,10 @@ def _require_columns(name: str, y: np.ndarray, x: np.ndarray, columns: int | Non
     """InputError unless y is [len(x), columns] with a finite number."""
     if y.ndim != 2 or len(y) != len(x) or not y.shape[1] or columns not in (None, y.shape[1]):
         raise InputError(
-            name, y, f"({len(x)}, {('vibrations' if columns is None else columns)})", state=f"has shape {y.shape}"
+            name,
+            y,
+            f"must have shape ({len(x)}, {('vibrations' if columns is None else columns)})",
+            state=f"has shape {y.shape}",
         )
     if not np.isfinite(y).any():
-        raise InputError(name, allowed="at least one", state="has no finite number")
+        raise InputError(name, allowed="must have at least one finite number", state="has no finite number")
