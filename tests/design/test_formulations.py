@@ -247,7 +247,7 @@ def test_links_with_offsets_and_symmetric_laminates():
         ),
         ({"links": {f"{ANGLES}[1]": 3.0}}, ["link of 'rod.laminate.angles[1]' = 3.0", "mapping"]),
         ({"links": {f"{ANGLES}[{i}]": {"constant": 0.0} for i in (0, 1)}}, ["links leave no entry free", "must leave"]),
-        ({"bounds": {"rod.laminate.angle": (0, 1)}}, ["lower bound of parameter 'rod.laminate.angle'", "Try:"]),
+        ({"bounds": {"rod.laminate.angle": (0, 1)}}, ["lower bound of parameter = 'rod.laminate.angle'", "Try:"]),
         ({"bounds": {ANGLES: (0, 1, 2)}}, [f"bounds of {ANGLES}", "two entries"]),
         ({"minimize": AtPeaks(ENERGY), "bound": (2.0, 1.0)}, ["bound = (2.0, 1.0)", "start <= upper"]),
         ({"minimize": mbd.Max(ENERGY, window=(0.0, 0.04))}, ["looks at t = 0.04 s", "duration=0.03"]),

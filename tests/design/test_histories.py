@@ -160,7 +160,7 @@ def test_action_is_reaction_and_a_hinge_turns_freely(motion):
         (Displacement("rod", "x", seen_from="rod"), "is zero: must have a node, or seen_from"),
         (RelativeDisplacement("rod", 0, 999, "z"), "node = 999"),
         (Reaction("universal_arm", "x"), "Try: 'universal_arm_rod'"),
-        (Reaction(JOINT, "x", kind="moment"), "kind 'moment'"),
+        (Reaction(JOINT, "x", kind="moment"), "kind = 'moment': must be one of force, torque"),
         (Reaction(JOINT, "x", on="ground"), "= 'ground': must be one of arm, rod"),
     ],
     ids=str,

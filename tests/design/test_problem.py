@@ -114,7 +114,7 @@ def test_an_initial_limit_needs_an_initial_motion():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"minimize": ENERGY}, ["minimize is", "StrainEnergy", "a measure, such as Integral"]),
+        ({"minimize": ENERGY}, ["minimize = ", "StrainEnergy", "a measure, such as Integral"]),
         ({"system": None}, ["system = None", "a System"]),
         ({"subject_to": [mbd.Max(ENERGY)]}, ["subject_to has", "Max", "constraints, such as Max"]),
         ({"subject_to": "initial"}, ["subject_to = 'initial'", "a list of constraints, such as Max"]),

@@ -74,7 +74,7 @@ def test_what_is_said_to_fit_fits(monkeypatch):
     system = build()
     with refused("steps") as caught:
         memory.require_memory(system, 1, 500_000)
-    most = int(re.search(r"up to (\d+) states", str(caught.value))[1])  # pyright: ignore[reportOptionalSubscript]
+    most = int(re.search(r"must be at most (\d+)\.", str(caught.value))[1])  # pyright: ignore[reportOptionalSubscript]
     memory.require_memory(system, 1, most)
     with pytest.raises(InputError):
         memory.require_memory(system, 1, int(1.2 * most))

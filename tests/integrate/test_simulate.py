@@ -42,13 +42,13 @@ def system() -> mbd.System:
         ({"steps": 0}, ["steps", "0", "positive integer"]),
         ({"steps": 10.0}, ["steps", "10.0", "positive integer"]),
         ({"steps": True}, ["steps", "True", "positive integer"]),
-        ({"method": "dopri6"}, ["method 'dopri6'", "Try: 'dopri"]),
+        ({"method": "dopri6"}, ["method = 'dopri6'", "Try: 'dopri"]),
         ({"method": "scipy_solver"}, ["method 'scipy_solver'", "reverse mode"]),
         (
             {"gradients": "forward", "variables": ["rod.laminate.angle"]},
             ["'rod.laminate.angle'", "Try: 'rod.laminate.angles'"],
         ),
-        ({"designs": {"rod.angles": torch.zeros(1, 2)}}, ["'rod.angles'", "allowed"]),
+        ({"designs": {"rod.angles": torch.zeros(1, 2)}}, ["'rod.angles'", "Try: 'rod.laminate.angles'"]),
         ({"designs": {"rod.laminate.angles": torch.zeros(1, 3)}}, ["rod.laminate.angles", "(1, 3)", "[lanes, 2]"]),
         (
             {"designs": {"rod.laminate.thickness": torch.tensor([[1e-3, 1e-3], [1e-3, 0.0]]).double()}},
@@ -60,8 +60,8 @@ def system() -> mbd.System:
         ({"iterations": 3}, ["iterations", "3", "two positive integers"]),
         ({"refresh": -1}, ["refresh", "-1", "number of steps"]),
         ({"refresh": 1.5}, ["refresh", "1.5", "number of steps"]),
-        ({"rtol": 1e-6}, ["option 'rtol'", "spectral_radius", "iterations", "refresh"]),
-        ({"method": "rk4", "refresh": 2}, ["option 'refresh'", "rtol", "atol", "options"]),
+        ({"rtol": 1e-6}, ["rtol = 1e-06 is not an option", "spectral_radius", "iterations", "refresh"]),
+        ({"method": "rk4", "refresh": 2}, ["refresh = 2 is not an option", "rtol", "atol", "options"]),
         ({"method": "dopri5", "rtol": -1e-6}, ["rtol", "-1e-06", "positive"]),
         ({"method": "dopri5", "atol": math.nan}, ["atol", "nan", "positive"]),
     ],
@@ -70,8 +70,9 @@ def system() -> mbd.System:
 def test_bad_input_is_named_with_its_value_and_what_is_allowed(system, given, words):
     with pytest.raises(InputError) as error:
         mbd.simulate(system, **({"duration": 0.01, "steps": 2} | given))
-    for word in [*words, "allowed"]:
+    for word in words:
         assert word in str(error.value)
+    assert error.value.allowed or error.value.hint
 
 
 @pytest.mark.thorough

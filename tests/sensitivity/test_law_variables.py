@@ -305,7 +305,7 @@ def test_what_names_of_laws_may_not_be():
         return mbd.System([hub, tail], joints)
 
     for given in (("hub",), ("a.b",), ("motor", True)):
-        with pytest.raises(mbd.InputError, match="has design variables: must be an explicit name without a point"):
+        with pytest.raises(mbd.InputError, match="has design variables: must have an explicit name without a point"):
             made(*given)
     with refused("variable", float("nan")):
         mbd.variable(math.nan)

@@ -123,7 +123,7 @@ def test_what_is_submitted(slurm, monkeypatch):
         ({"account": "me\n#SBATCH --uid=0"}, "account = "),
         ({"setup": ["true\nrm -rf ."]}, "setup.0 = "),
         ({"memory_per_worker": "lots"}, "memory_per_worker = 'lots'"),
-        ({"interface": "ib7"}, "line 1: interface = 'ib7': this machine has no address in such a network: must be lo"),
+        ({"interface": "ib7"}, "line 1: interface = 'ib7': this machine has no address in such a network: must be "),
         ({"interface": "l0"}, "Try: 'lo'"),
     ],
 )

@@ -67,10 +67,10 @@ def test_a_mapping_is_the_rule_that_it_names() -> None:
 @pytest.mark.parametrize(
     ("direction", "text"),
     [
-        ({"about": {"axis": [0, 0, 1]}}, "direction 'about' does not exist: must be around"),
+        ({"about": {"axis": [0, 0, 1]}}, "direction = 'about': must be one of around"),
         ({"around": [0, 0, 1]}, "must be one rule with its arguments"),
         ({}, "must be one rule"),
-        ({"around": {"axes": [0, 0, 1]}}, "argument of around 'axes' does not exist: must be axis, point"),
+        ({"around": {"axes": [0, 0, 1]}}, "argument of around = 'axes': must be one of axis, point"),
         ({"along": {}}, "direction.along.points is missing"),
     ],
 )

@@ -62,7 +62,7 @@ def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, ad
         most = int((free - _shared(system, steps)) / lane_bytes(system, steps, tangents, adjoint))
         raise InputError(
             "designs",
-            allowed=f"must have up to {rounded_down(most)} lanes at once",
+            allowed=f"must have at most {rounded_down(most)} lanes at once",
             state=f"have {lanes} lanes of {steps} steps, which take {sizes}",
         )
     fixed, each = (lane_bytes(system, k, tangents, adjoint) for k in (0, 1))
@@ -71,7 +71,7 @@ def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, ad
         state = f"is too large, because one design takes {sizes}"
         raise InputError("system", system, "must have smaller meshes, or fewer modes or variables", state=state)
     state, hint = f"= {steps} of one design take {sizes}", "checkpoint=100, which keeps every hundredth state only"
-    raise InputError("steps", steps, f"up to {rounded_down(most)}", hint, state=state)
+    raise InputError("steps", steps, f"at most {rounded_down(most)}", hint, state=state)
 
 
 def lanes_at_once(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> int:

@@ -55,7 +55,7 @@ def test_a_section_off_the_line_is_the_section_with_moved_nodes():
         (lambda K: K * math.nan, ["finite"]),
         (lambda K: K - torch.diag(torch.tensor([0, 0, 10.0, 0, 0, 0])), ["entry 3,3 = -7.0"]),
         (lambda K: K + 0.1 * torch.triu(torch.ones(6, 6), 1), ["entries", "equal"]),
-        (lambda K: torch.full((6, 6), 2.0), ["not positive definite"]),
+        (lambda K: torch.full((6, 6), 2.0), ["must be positive definite"]),
         (lambda K: "steel", ["'steel'", "6 x 6"]),
     ],
 )

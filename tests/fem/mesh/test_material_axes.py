@@ -88,7 +88,7 @@ def test_axes_of_systems():
     ("rule", "text"),
     [
         (lambda: mbd.mesh.around((0.0, 0.0, 0.0)), "axis = (0.0, 0.0, 0.0): must be"),
-        (lambda: mbd.mesh.along([[0.0, 0.0, 0.0]]), "points of a curve have shape (1, 3): must be"),
+        (lambda: mbd.mesh.along([[0.0, 0.0, 0.0]]), "points of a curve have shape (1, 3): must have shape [k, 3]"),
         (lambda: mbd.mesh.in_system([[1.0, 0, 0], [0, 2.0, 0], [0, 0, 1.0]]), "must be three orthonormal columns"),
         (lambda: mbd.mesh.in_system(torch.eye(3).double(), axis="r"), "'r'"),
     ],

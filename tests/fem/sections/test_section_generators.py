@@ -116,17 +116,17 @@ def test_torsion_of_two_concentric_materials_is_the_sum(ratios):
         (lambda: sections.rectangle(0.0, 0.1, AS4), ["width = 0.0 m"]),
         (lambda: sections.rectangle(0.1, 0.1, AS4, cells=(2.0, 2)), ["cells = (2.0, 2)", "2 integers"]),  # pyright: ignore[reportArgumentType]
         (lambda: sections.rectangle(0.1, 0.1, AS4, order=3), ["order = 3"]),
-        (lambda: sections.rectangle(0.1, 0.1, [0.1], AS4), ["angles is", "one angle per ply"]),  # pyright: ignore
-        (lambda: sections.box(0.1, 0.1, [0.1], AS4, 0.01), ["angles is", "one angle per ply"]),  # pyright: ignore
+        (lambda: sections.rectangle(0.1, 0.1, [0.1], AS4), ["angles = ", "one angle per ply"]),  # pyright: ignore
+        (lambda: sections.box(0.1, 0.1, [0.1], AS4, 0.01), ["angles = ", "one angle per ply"]),  # pyright: ignore
         (lambda: sections.strip(0.1, AS4, [0.1, 0.2], [1e-3]), ["1 thicknesses for 2 plies"]),
         (lambda: sections.strip(0.1, AS4, [0.1], -1e-3), ["thickness = -0.001"]),
         (lambda: sections.box(0.1, 0.02, AS4, [0.1], 0.01), ["walls of 0.01 m", "less than half"]),
-        (lambda: sections.box(0.1, 0.1, AS4, {"tpo": [0.1]}, 0.01), ["wall 'tpo'", "Try: 'top'"]),
+        (lambda: sections.box(0.1, 0.1, AS4, {"tpo": [0.1]}, 0.01), ["wall = 'tpo'", "Try: 'top'"]),
         (
             lambda: sections.box(0.1, 0.1, AS4, {"top": [0.1]}, 0.01),
             ["the same number of plies in top, right, bottom, left"],
         ),
-        (lambda: sections.tube(0.01, AS4, [0.1, 0.2], 0.005), ["thickness 0.01 m of radius 0.01 m"]),
+        (lambda: sections.tube(0.01, AS4, [0.1, 0.2], 0.005), ["thickness is 0.01 m of radius 0.01 m"]),
         (lambda: sections.circle(-1.0, AS4), ["radius = -1.0 m"]),
         (lambda: sections.i_section(0.1, 0.02, AS4, I_WALLS, 0.01), ["do not fit"]),
         (lambda: sections.i_section(0.1, 0.1, AS4, [0.1], 0.01), ["a mapping with top, web, bottom"]),  # pyright: ignore[reportArgumentType]

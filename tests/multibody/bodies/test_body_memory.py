@@ -15,8 +15,8 @@ from torchmbd.multibody.bodies import body_memory, flexible
 
 LAMINATE = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
 WORDS = (
-    r"mesh of 'shell' has 492 degrees of freedom: their modes take about \S+ MB of memory, 4 MB are available; "
-    r"must be up to (\d+)"
+    r"mesh of 'shell' has 492 degrees of freedom, whose modes take about \S+ MB of memory, of which 4 MB are "
+    r"available: must have at most (\d+) degrees of freedom"
 )
 
 
@@ -52,7 +52,7 @@ def test_modes_that_are_too_many_are_refused_by_their_number() -> None:
     """Also where the mesh does not have them."""
     with refused("shell.modes", 100) as caught:
         shell(40, False, modes=100)
-    text = re.search(r"up to (\d+)", str(caught.value))
+    text = re.search(r"must be at most (\d+)", str(caught.value))
     assert text
     shell(40, False, modes=int(text[1]))
     for modes in (10**9, 60):
@@ -64,7 +64,7 @@ def test_shapes_of_an_interface_count() -> None:
     options = {"reduction": "craig-bampton", "curved": False}
     with refused("shell.interface") as caught:
         shell(40, interface=list(range(2, 40)), **options)
-    text = re.search(r"has 38 nodes: their shapes take .* up to (\d+) nodes", str(caught.value))
+    text = re.search(r"has 38 nodes, whose shapes take .*: must have at most (\d+)$", str(caught.value))
     assert text
     shell(40, interface=list(range(2, 2 + int(text[1]))), **options)
     with refused("shell.modes", 30):

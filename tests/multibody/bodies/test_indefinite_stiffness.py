@@ -33,7 +33,7 @@ def test_a_part_that_moves_without_stiffness_is_named(labels, neighbor):
     )
     arguments = {"modes": 2, "reference": "held", "reduction": "craig-bampton", "interface": ["end"]}
     node = neighbor if labels else f"node {neighbor}"
-    words = rf"K is not positive definite .* {node} moves most, (along|about) [xyz]; its neighbors are {neighbor}$"
+    words = rf"K .* {node} moves most, (along|about) [xyz]; its neighbors are {neighbor}: must be positive definite$"
     with pytest.raises(mbd.InputError, match=words):
         mbd.FlexibleBody("frame", mesh, {"springs": springs}, **arguments)
 
@@ -55,9 +55,8 @@ def test_a_spring_that_pushes_is_named_by_the_node_that_it_pushes_most(options):
     K = torch.cat([torch.cat([spring, -spring], 1), torch.cat([-spring, spring], 1)])
     places = torch.stack([torch.arange(6 * k, 6 * k + 12) for k in range(3)])
     springs = Springs(mesh, [places], [torch.stack([K] * 3)], torch.arange(4), torch.ones(4).double())
-    with pytest.raises(
-        mbd.InputError, match=r"K is not positive definite.* node 2 moves most, along z; its neighbors are 1, 3"
-    ):
+    words = r"K .* node 2 moves most, along z; its neighbors are 1, 3: must be positive definite"
+    with pytest.raises(mbd.InputError, match=words):
         mbd.FlexibleBody("chain", mesh, {"springs": springs}, modes=2, reference="held", **options)
 
 
@@ -71,7 +70,7 @@ def test_supports_that_leave_a_body_movable_name_a_node():
     mesh = mbd.mesh.rectangle(length=0.5, width=0.1, cells=(6, 2))
     body = mbd.FlexibleBody.plate("plate", mesh, LAMINATE, modes=3, reference="left_edge")
     supports = {"left_edge": "u1 u2 u3 phi1 phi3"}
-    words = r"supports of 'plate' leave it movable: .*node \d+ moves most, about y; its neighbors are \d+, "
+    words = r"supports of 'plate' leave it movable, .*node \d+ moves most, about y; its neighbors are \d+, "
     with pytest.raises(DesignFailure, match=words):
         mbd.natural_frequencies(body, supports)
     with pytest.raises(DesignFailure, match=words):
@@ -87,7 +86,7 @@ def test_matrices_of_two_bodies_in_one_name_a_node_of_the_loose_one(options):
     body = mbd.FlexibleBody.plate("plate", mesh, LAMINATE, modes=3, reference="left_edge")
     M, K = (block_diag([A, A], format="csr") for A in body.mass_and_stiffness())
     nodes = torch.cat([mesh.nodes, mesh.nodes + 1.0])
-    with pytest.raises(mbd.InputError, match=r"K .*is not positive definite .* node (9|1\d) r?[xyz] moves most"):
+    with pytest.raises(mbd.InputError, match=r"K .*node (9|1\d) r?[xyz] moves most.*: must be "):
         mbd.FlexibleBody.from_matrices(
             "pair", M, K, nodes, modes=3, reference=list(mesh.node_set("left_edge")), **options
         )
@@ -102,7 +101,7 @@ def test_a_mass_that_is_not_positive_definite_names_a_node():
     for i in range(3):
         for row, column in ((first + i, second + i), (second + i, first + i)):
             M[row, column] += 9.0 * M[first + i, first + i]
-    with pytest.raises(mbd.InputError, match=r"M is not positive definite: .* node 1[04] [xyz] moves most"):
+    with pytest.raises(mbd.InputError, match=r"M .* node 1[04] [xyz] moves most: must be positive definite"):
         mbd.FlexibleBody.from_matrices(
             "plate", M.tocsr(), K, mesh.nodes, modes=3, reference=list(mesh.node_set("left_edge"))
         )

@@ -76,7 +76,7 @@ def test_places_and_gravity_are_saved_with_the_module():
         ({"mass": math.nan}, ["box.mass", "nan", "positive"]),
         ({"inertia": (1.0, 1.0)}, ["box.inertia", "(1.0, 1.0)", "3 x 3"]),
         ({"inertia": (1.0, 1.0, 2.1)}, ["box.inertia", "2.1", "the sum of the other two"]),
-        ({"inertia": (-1.0, 1.0, 1.0)}, ["box.inertia", "-1.0", "none negative"]),
+        ({"inertia": (-1.0, 1.0, 1.0)}, ["box.inertia", "-1.0", "must have none that is negative"]),
         ({"inertia": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, ["box.inertia", "0.5", "symmetric"]),
         ({"center": (0.0, math.inf, 0.0)}, ["box.center", "inf", "three finite numbers"]),
         ({"position": (0.0, 0.0)}, ["box.position", "(0.0, 0.0)", "three finite numbers"]),
@@ -91,8 +91,9 @@ def test_places_and_gravity_are_saved_with_the_module():
 def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words):
     with pytest.raises(InputError) as error:
         mbd.RigidBody(**({"name": "box", "mass": 1.0, "inertia": (1.0, 1.0, 1.0)} | given))
-    for word in [*words, "allowed"]:
+    for word in words:
         assert word in str(error.value)
+    assert error.value.allowed or error.value.hint
 
 
 def test_bad_frames_are_named():

@@ -65,7 +65,7 @@ def test_bad_elements_are_named():
     for make, words in (
         (lambda: mbd.SpringDamper(a.at(), b.at()), ["neither law nor stiffness"]),
         (lambda: mbd.SpringDamper(a.at(), a.at(), stiffness=1.0), ["two different bodies"]),
-        (lambda: mbd.SpringDamper(a, b.at(), stiffness=1.0), ["must be frames"]),
+        (lambda: mbd.SpringDamper(a, b.at(), stiffness=1.0), ["must get frames"]),
         (lambda: mbd.SpringDamper(a.at(), b.at(), law=lambda s, r, t: s / 0.0 * 0.0), ["law", "finite"]),
         (lambda: mbd.Force(ground.at(), (1.0, 0.0, 0.0)), ["at least one frame on a body"]),
         (lambda: mbd.Force(a.at(), (1.0, math.nan, 0.0)), ["vector", "three finite numbers"]),

@@ -95,7 +95,7 @@ def test_bad_pressures_are_named():
     box = mbd.RigidBody("box", 1.0, (1.0, 1.0, 1.0))
     assert len(mbd.Pressure(body, 1.0, direction=(3.0, -4.0, 0.0)).parts) == 2  # along two axes of one body
     for make, words in (
-        (lambda: mbd.Pressure(box, 1.0), ["Pressure acts on", "must be a flexible body with triangles"]),
+        (lambda: mbd.Pressure(box, 1.0), ["Pressure acts on", "must act on a flexible body with triangles"]),
         (lambda: mbd.Pressure(body, float("nan")), ["pressure_panel", "finite"]),
         (lambda: mbd.Pressure(body, 1.0, direction=(0, 0, 0)), ["direction", "not all zero"]),
         (lambda: mbd.Pressure(body, 1.0, direction=(0, 1)), ["direction", "three finite numbers"]),

@@ -558,8 +558,8 @@ def test_bad_changes_are_named():
         ),
         (lambda: mbd.Temperature("p", 1.0), ["body of Temperature = 'p': must be a flexible body"]),
         (lambda: mbd.Temperature(exact, 1.0), ["body of Temperature = 'hose'", "not an exact beam"]),
-        (lambda: mbd.Temperature(body, 1.0, zone=3), ["panel.zone 3", "plate"]),  # pyright: ignore
-        (lambda: mbd.Temperature(body, 1.0, zone=["plate"]), ["panel.zone ['plate']"]),  # pyright: ignore
+        (lambda: mbd.Temperature(body, 1.0, zone=3), ["panel.zone = 3", "plate"]),  # pyright: ignore
+        (lambda: mbd.Temperature(body, 1.0, zone=["plate"]), ["panel.zone = ['plate']"]),  # pyright: ignore
         (lambda: skewed(body.plates["plate"].laminate, "quad", expansion=["plate", "plate"]), ["each once"]),
         (lambda: skewed(body.plates["plate"].laminate, "quad", expansion=[None]), ["panel.expansion"]),
         (lambda: mbd.Temperature(cured, 1.0), ["layer 0 of the section", "no alpha1 and no alpha2"]),

@@ -88,5 +88,5 @@ def test_nothing_is_overwritten(folder):
 def test_a_model_that_cannot_be_named_so_is_refused_with_what_can(folder):
     with refused("model", "rod_model", "package.module:function"):
         write_experiment(folder / "other.yaml", "rod_model")
-    with refused("model", "nothing:build", "module 'nothing'"):
+    with refused("model", "nothing:build", "must be an importable module"):
         write_experiment(folder / "other.yaml", "nothing:build")

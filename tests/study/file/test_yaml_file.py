@@ -77,7 +77,7 @@ def test_every_duplicate_is_named_with_both_lines():
         ("a: [1, 2", 1, "not YAML"),
         ("a: 1\n\tb: 2", 2, "not YAML"),
         ("? [a, b]\n: 1", 1, "key"),
-        ("a: 1e999", 1, "out of the range"),
+        ("a: 1e999", 1, "the largest float"),
         ("a: " + "9" * 5000, 1, "digits"),
         ("a: " + "[" * 5000, 1, "deep"),
         ("a: \x07", 1, "not YAML"),

@@ -47,7 +47,7 @@ def test_an_unknown_run_names_what_there_is(finished):
 
 
 def test_a_model_that_is_not_here_is_named(finished, tmp_path):
-    with pytest.raises(mbd.InputError, match=r"rod_model\.py does not exist"):
+    with pytest.raises(mbd.InputError, match=r"rod_model\.py' does not exist"):
         mbd.load("short", finished.uri, tmp_path / "rod_model.py")
 
 

@@ -86,7 +86,7 @@ class Phase:
                     x,
                     f"{allowed}, also as a float64 tensor [] that is not a Parameter",
                     noun=f"{key} of a phase",
-                    shown=f"{x!r} s",
+                    shown=f"{x!r} s" if isinstance(x, (int, float)) else None,
                 )
         for key in ("lock", "release"):
             x = getattr(self, key)

@@ -56,14 +56,14 @@ def require_memory(name: str, nodes: int, parts: Iterable[Part], modes: Any, kep
     fitting = int((free - without) / (nodes * _MODE))
     sizes = f"take about {bytes_text(needed)} of memory, of which {bytes_text(free)} are available"
     if fitting >= 6 * kept + few:
-        allowed = f"up to {rounded_down(fitting - 6 * kept)}"
+        allowed = f"at most {rounded_down(fitting - 6 * kept)}"
         raise InputError((name, "modes"), modes, allowed, state=f"= {modes} {sizes}")
     if kept and fitting >= 6 + few:
-        allowed = f"must have up to {rounded_down((fitting - few) // 6)}"
+        allowed = f"must have at most {rounded_down((fitting - few) // 6)}"
         raise InputError((name, "interface"), allowed=allowed, state=f"has {kept} nodes, whose shapes {sizes}")
     raise InputError(
         (name, "mesh"),
-        allowed=f"must have up to {rounded_down(int(6 * nodes * free / needed))} degrees of freedom",
+        allowed=f"must have at most {rounded_down(int(6 * nodes * free / needed))} degrees of freedom",
         noun=f"mesh of {name!r}",
         state=f"has {6 * nodes} degrees of freedom, whose modes {sizes}",
     )

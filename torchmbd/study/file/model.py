@@ -31,6 +31,7 @@ from torchmbd.process import file_of
 from torchmbd.study.file.faults import Fault, shown
 
 Builder = Callable[..., System]
+_LONGEST = 400  # characters of a file's path in a message: its name is at the end
 _executed: dict[Path, ModuleType] = {}  # files that the present experiment names
 _imported: set[str] = set()  # names of the modules that these imported from their folders
 
@@ -84,7 +85,7 @@ def _refused(spec: str, state: str = "", allowed: str = "", hint: str = "") -> I
 
     state   words after the name
     """
-    return InputError((), spec, allowed, hint, noun="function", state=f"= {shown(spec)} {state}".rstrip())
+    return InputError((), spec, allowed, hint, noun="function", state=f"= {shown(spec, _LONGEST)} {state}".rstrip())
 
 
 def _named(spec: str, folder: Path) -> Any:
