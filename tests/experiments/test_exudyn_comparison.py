@@ -51,5 +51,5 @@ def test_a_rod_that_twists_as_it_bends():
     unlike = slider_crank.build(1, [17.0], kind="quad")
     peak = mbd.Max(mbd.StrainEnergy("rod")).value(mbd.simulate(unlike, slider_crank.DURATION, steps=1200))
     assert float(peak) / like.peaks[1] == pytest.approx(1.09, abs=0.01)
-    with pytest.raises(mbd.InputError, match=r"universal: must be build\(..., joint='spherical'\), as here"):
+    with pytest.raises(mbd.InputError, match=r"must be spherical\. Try: build\(..., joint='spherical'\)"):
         exudyn_peer.slider_crank(unlike, {})

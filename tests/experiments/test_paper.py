@@ -53,7 +53,7 @@ def test_ratios_and_labels():
     assert Row("x", 4.0, 5.0, "given").ratio == 1.25
     assert Row("x", None, 5.0, "given").ratio is None
     assert Row("x", "7 to 8", 5.0, "given").ratio is None
-    with pytest.raises(mbd.InputError, match="label of 'x' = 'guessed': must be given, inferred, chosen"):
+    with pytest.raises(mbd.InputError, match="label of 'x' = 'guessed': must be one of given, inferred, chosen"):
         Row("x", 4.0, 5.0, "guessed")
 
 

@@ -157,9 +157,9 @@ def test_gaps_of_the_stowed_antenna():
 
 
 def test_errors_name_the_argument():
-    with pytest.raises(mbd.InputError, match="law = 'jumpy': must be continuous, printed"):
+    with pytest.raises(mbd.InputError, match="law = 'jumpy': must be one of continuous, printed"):
         build(law="jumpy")
-    with pytest.raises(mbd.InputError, match="must be cells in multiples of"):
+    with pytest.raises(mbd.InputError, match="Try: cells in multiples of"):
         build(cells=(10, 4))
 
 

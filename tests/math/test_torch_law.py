@@ -23,13 +23,13 @@ LAWS = {
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_smooth_laws_are_accepted(law):
-    require_differentiable("angle", law, "must be functions of torch")
+    require_differentiable("angle", law, "a function of torch")
 
 
 @given(st.sampled_from(PLACES), st.integers(2, 9), st.floats(1e-3, 1e3))
 @settings(max_examples=30, deadline=None)
 def test_the_slope_may_vanish_at_any_place(place, power, factor):
-    require_differentiable("angle", lambda t: factor * (t - place) ** power, "must be functions of torch")
+    require_differentiable("angle", lambda t: factor * (t - place) ** power, "a function of torch")
 
 
 LOST = {
@@ -44,7 +44,7 @@ LOST = {
 @pytest.mark.parametrize("law", LOST.values(), ids=LOST)
 def test_laws_that_leave_torch_are_refused(law):
     with refused("angle"):
-        require_differentiable("angle", law, "must be functions of torch")
+        require_differentiable("angle", law, "a function of torch")
 
 
 @pytest.mark.parametrize(

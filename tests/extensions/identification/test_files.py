@@ -286,7 +286,7 @@ MISTAKES = {
     "a unit that does not exist": (f"{CHANNEL}.unit=degree", r"unit = 'degree'.*deg"),
     "an unknown that nothing has": (
         "identify.unknowns={drag.dumping: {lower: 0, upper: 1, unit: none}}",
-        r"drag\.dumping: must be a parameter of the model or a number of a sensor.*'drag\.damping'",
+        r"drag\.dumping is not a parameter of the model or a number of a sensor.*'drag\.damping'",
     ),
     "an impossible unit of a delay": ("identify.unknowns.angle.delay.unit=mm", r"angle\.delay\.unit = 'mm'.*s, ms"),
     "a delay without bounds": (
@@ -307,17 +307,17 @@ MISTAKES = {
     ),
     "a sensor that no channel has": (
         f"{CHANNEL}.gain=angle.gein",
-        r"gain = 'angle.gein': is not a sensor.*'angle.gain'",
+        r"gain = 'angle.gein' is not a sensor.*'angle.gain'",
     ),
     "a loss that does not exist": ("identify.loss=hubber", r"loss = 'hubber'.*huber"),
     "options of a model": ("identify.experiments.swing.options={sped: 1}", r"swing\.options\.sped.*speed"),
     "an experiment that is held out too": (
         "identify.validation={swing: {time_series: {file: swing.csv, channels: {angle: {angle: {body: bob, axis: z}}}}}}",
-        r"validation\.swing.*is an experiment as well",
+        r"validation\.swing.*must have another name than the experiments",
     ),
     "a parameter that the model has not": ("parameters={bob.mas: 1.0}", r"parameters\.bob\.mas.*bob\.mass"),
     "a parameter that cannot be": ("parameters={bob.mass: -1.0}", r"parameters\.bob\.mass.*positive"),
-    "an option of the motion": ("simulate.stepps=5", r"simulate\.stepps = 5.*does not exist.*Try: 'steps'"),
+    "an option of the motion": ("simulate.stepps=5", r"simulate\.stepps = 5.*is not an option.*Try: 'steps'"),
 }
 
 

@@ -49,10 +49,10 @@ def test_rules_come_first_and_several_are_sorted():
     [
         ({"plies": 0}, "plies = 0"),
         ({"number": 1.5}, "number = 1.5"),
-        ({"angles": []}, "angles is"),
-        ({"rules": "balanced"}, "rules is"),
-        ({"weights": (1.0, 1.0)}, "weights is"),
-        ({"weights": (0.0, 0.0, 0.0)}, "weights is"),
+        ({"angles": []}, "angles = "),
+        ({"rules": "balanced"}, "rules = "),
+        ({"weights": (1.0, 1.0)}, "weights = "),
+        ({"weights": (0.0, 0.0, 0.0)}, "weights = "),
         ({"laminate": mbd.Laminate(CARBON, [0.0], 1e-3)}, "LaminationParameters"),
     ],
 )

@@ -64,7 +64,7 @@ RANGES = "\n".join(f"SPC1,{k},123456,1,THRU,999999999999" for k in range(1000))
         (SMALL + RANGES + "\nGRID,1", ["GRID 1", "appears twice"]),
         (SMALL + "RBE2,7,1,123,2,THRU,999999999999\nRBE2,8,1,123,2", ["GRID 2", "RBE2 7"]),
         (SMALL + "GRID,999999999,,1.,0.,0.\nCTRIA3,2,1,1,2,1000000000", ["CTRIA3 2", "GRID 1000000000 does not exist"]),
-        (SMALL + "GRID,99999999999999999999,,1.,0.,0.", ["ID is", "an integer"]),
+        (SMALL + "GRID,99999999999999999999,,1.,0.,0.", ["ID = ", "an integer"]),
         ("INCLUDE 'model.bdf'", ["circle"]),
         ("INCLUDE '../secret.bdf'", ["outside of"]),
         ("INCLUDE '/etc/hostname'", ["model.bdf, line 1"]),

@@ -19,11 +19,11 @@ TEXT = '<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n"
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('type="continuous"', 'type="ball"', "joint 'j3': type 'ball'"),
-        ('<parent link="link2"/>', '<parent link="link7"/>', "link 'link7'"),
+        ('type="continuous"', 'type="ball"', "joint 'j3': type = 'ball'"),
+        ('<parent link="link2"/>', '<parent link="link7"/>', "link = 'link7'"),
         ('<parent link="link2"/>', "", "joint 'j3': parent is missing"),
         ('<child link="link3"/>', '<child link="link2"/>', "child of two joints"),
-        ('xyz="0.6 0 0.8"', 'xyz="0 0 0"', "joint 'j3': axis is"),
+        ('xyz="0.6 0 0.8"', 'xyz="0 0 0"', "joint 'j3': axis = "),
         ('xyz="0.6 0 0.8"', 'xyz="0.6 0"', "must be 3 numbers"),
         ('<mass value="0.4"/>', '<mass value="-0.4"/>', "link 'link3': mass = -0.4"),
         ('<mass value="0.4"/>', '<mass value="nan"/>', "value = 'nan'"),
@@ -37,7 +37,7 @@ TEXT = '<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n"
         ("</robot>", "", "must be XML"),
         ("<robot", "<!DOCTYPE r [<!ENTITY a 'b'>]><robot", "document type"),
         ("robot", "model", "its root is <model>"),
-        ("</robot>", '<x:arm xmlns:x="http://www.ros.org/wiki/xacro"/></robot>', "expand a xacro file first"),
+        ("</robot>", '<x:arm xmlns:x="http://www.ros.org/wiki/xacro"/></robot>', "Try: xacro, which expands the file first"),
         ('name="j3"', 'name="${side}_j3"', "'${side}_j3'"),
     ],
 )

@@ -107,7 +107,7 @@ def test_every_fault_is_named_with_path_and_what_is_allowed(folder, capsys, old,
     assert path in error
     assert message in error
     assert re.match(r".*study\.yaml: \d+ errors?\n", error)
-    room = r"[0-9.]+ [MGT]B are available|up to \d+"  # changes from one moment to the next
+    room = r"[0-9.]+ [MGT]B are available|at most \d+"  # changes from one moment to the next
     assert re.sub(room, "", refused(capsys, "run", str(file))) == re.sub(room, "", error)
 
 

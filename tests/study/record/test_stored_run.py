@@ -109,7 +109,7 @@ class Touch:
 @pytest.mark.parametrize(
     ("design", "message"),
     [
-        ("!!python/object/apply:os.system ['touch {proof}']", "is not allowed"),
+        ("!!python/object/apply:os.system ['touch {proof}']", "without the tag"),
         ("pickle", "is not UTF-8 text"),
         ("rod.laminate.angles: [0.1]", "must be a list of 2 numbers"),
         ("rod.laminate.angles: [a, b]", "must be a list of 2 numbers"),

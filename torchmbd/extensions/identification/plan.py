@@ -299,7 +299,7 @@ def read_identification(
         if name not in parameters:
             hint = "; a plain number of a constructor becomes a parameter by mbd.variable(...)"
             names = must_be_one(name, [*parameters, *maker.sensor_labels])
-            text = f": is not a parameter of the model or a number of a sensor: {names}{hint}"
+            text = f"is not a parameter of the model or a number of a sensor: {names}{hint}"
             faults.append(Fault(("identify", "unknowns", name), text))
     if faults:
         return faults
