@@ -37,7 +37,11 @@ TEXT = '<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n"
         ("</robot>", "", "must be XML"),
         ("<robot", "<!DOCTYPE r [<!ENTITY a 'b'>]><robot", "document type"),
         ("robot", "model", "its root is <model>"),
-        ("</robot>", '<x:arm xmlns:x="http://www.ros.org/wiki/xacro"/></robot>', "Try: xacro, which expands the file first"),
+        (
+            "</robot>",
+            '<x:arm xmlns:x="http://www.ros.org/wiki/xacro"/></robot>',
+            "Try: xacro, which expands the file first",
+        ),
         ('name="j3"', 'name="${side}_j3"', "'${side}_j3'"),
     ],
 )

@@ -80,9 +80,7 @@ def test_designs_are_lanes_and_gradients_are_those_of_the_closed_form():
 def test_a_vibration_that_is_lost_is_told(monkeypatch):
     monkeypatch.setattr("torchmbd.extensions.vibrations.campbell_diagram.LOST", 1.1)
     result = mbd.vibrations.campbell(masses(), [1.0, 2.5, 3.0], observer="ground", modes=1)
-    assert result.status[0].startswith(
-        "lost: vibration 1 from 2.5 rad/s on: no shape is like it. Try: smaller steps"
-    )
+    assert result.status[0].startswith("lost: vibration 1 from 2.5 rad/s on: no shape is like it. Try: smaller steps")
     assert result.frequencies[0, :, 0].isnan().tolist() == [False, True, True]
 
 

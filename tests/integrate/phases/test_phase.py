@@ -253,7 +253,9 @@ class TestDoor:
             mbd.simulate(system or pushed(0.7), 0.1, steps=10, phases=phases)
 
     def test_a_drive_on_a_locked_joint(self):
-        self.refused("phase '1' locks 'shaft', which 'motor' drives. Try: release=..motor..", [mbd.Phase(lock=["shaft"])])
+        self.refused(
+            "phase '1' locks 'shaft', which 'motor' drives. Try: release=..motor..", [mbd.Phase(lock=["shaft"])]
+        )
 
     def test_unknown_joints(self):
         self.refused(

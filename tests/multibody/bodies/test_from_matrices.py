@@ -234,9 +234,15 @@ WRONG = {
         lambda M, K: {"K": _changed(K, 3, 9, 1e3)},
         r"arm.K has .* between node 0 rx and node 1 rx, .*: must be symmetric",
     ),
-    "one half": (lambda M, K: {"K": scipy.sparse.csr_array(scipy.sparse.triu(K))}, r"arm.K has .* in the transposed entry: must be symmetric"),
+    "one half": (
+        lambda M, K: {"K": scipy.sparse.csr_array(scipy.sparse.triu(K))},
+        r"arm.K has .* in the transposed entry: must be symmetric",
+    ),
     "held": (lambda M, K: {"K": _changed(K, 0, 0, 1e9)}, r"arm.K resists a rigid translation x"),
-    "negative": (lambda M, K: {"K": -1.0 * K}, r"arm.K has .* at node 1 x .*: must have mass and stiffness at every degree of freedom"),
+    "negative": (
+        lambda M, K: {"K": -1.0 * K},
+        r"arm.K has .* at node 1 x .*: must have mass and stiffness at every degree of freedom",
+    ),
     "no mass": (lambda M, K: {"M": 0.0 * M}, r"arm.M has the masses"),
     "a size": (lambda M, K: {"K": K[:-6, :-6]}, r"shapes \(42, 42\), \(36, 36\): must have 42 rows"),
     "nodes": (lambda M, K: {"nodes": NODES[:-1]}, r"42 rows for 6 nodes: must have 18 or 36, or `freedoms`"),
@@ -258,7 +264,10 @@ WRONG = {
         lambda M, K: {"derivatives": {"E": (1.0, M)}},
         r"(?s)derivatives of 'arm': 'E'.*\(value, dM, dK\)",
     ),
-    "a name": (lambda M, K: {"derivatives": {"a b": (1.0, M, K)}}, r"arm.derivatives has the name 'a b': must have Python identifiers as names"),
+    "a name": (
+        lambda M, K: {"derivatives": {"a b": (1.0, M, K)}},
+        r"arm.derivatives has the name 'a b': must have Python identifiers as names",
+    ),
     "freedoms": (lambda M, K: {"freedoms": 5}, r"arm.freedoms = 5: must be 3, 6, or"),
 }
 

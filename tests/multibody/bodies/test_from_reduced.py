@@ -117,7 +117,10 @@ WRONG = {
     "lacks": (lambda x: {"invariants": {k: v for k, v in x.items() if k != "C0"}}, "lack 'C0'"),
     "unknown": (lambda x: {"invariants": x | {"C2": 1.0}}, "'C2'"),
     "shape": (lambda x: {"invariants": x | {"S1": torch.zeros(3, 7)}}, r"arm.S1 has shape \(3, 7\)"),
-    "negative": (lambda x: {"invariants": x | {"mass": -1.0}}, "arm.mass has the eigenvalue -1: must be positive definite"),
+    "negative": (
+        lambda x: {"invariants": x | {"mass": -1.0}},
+        "arm.mass has the eigenvalue -1: must be positive definite",
+    ),
     "Kr": (lambda x: {"Kr": -torch.eye(3)}, "arm.Kr has the eigenvalue -1: must be positive definite"),
     "Kr's shape": (lambda x: {"Kr": torch.eye(2)}, r"arm.Kr has shape \(2, 2\)"),
     "K2's shape": (lambda x: {"K2": torch.zeros(3, 3)}, r"arm.K2 has shape \(3, 3\)"),

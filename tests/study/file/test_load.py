@@ -199,7 +199,11 @@ def test_everything_that_is_wrong_is_named_at_once(write):
         ({"model": "missing.py:build"}, "model", "missing.py' does not exist: must be a Python file"),
         ({"model": "no.such.module:build"}, "model", "= 'no.such.module' cannot be imported"),
         ({"model": "build"}, "model", "= 'build': must be package.module:function"),
-        ({"model": "rod_model.py:no_system", "options": {}}, "model", "says -> int about what it returns: must be annotated with"),
+        (
+            {"model": "rod_model.py:no_system", "options": {}},
+            "model",
+            "says -> int about what it returns: must be annotated with",
+        ),
         ({"model": "rod_model.py:broken", "options": {}}, "options", "ZeroDivisionError in"),
         ({"simulate": {"duration": 0.1, "rtoll": 1}}, "simulate.rtoll", "is not an option"),
         ({"simulate": {"duration": 0.1, "method": "dopri5", "refresh": 1}}, "simulate.refresh", "of method 'dopri5'"),

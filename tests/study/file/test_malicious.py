@@ -21,8 +21,16 @@ from torchmbd.tracking.server import QUIET
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("layers: 2", "layers: !!python/object/apply:os.system ['touch {proof}']", "must be a plain value, without the tag"),
-        ("layers: 2", "layers: !!python/object/new:os.system ['touch {proof}']", "must be a plain value, without the tag"),
+        (
+            "layers: 2",
+            "layers: !!python/object/apply:os.system ['touch {proof}']",
+            "must be a plain value, without the tag",
+        ),
+        (
+            "layers: 2",
+            "layers: !!python/object/new:os.system ['touch {proof}']",
+            "must be a plain value, without the tag",
+        ),
         ("model: rod_model.py:build", "model: !!python/name:os.system", "must be a plain value, without the tag"),
         ("model: rod_model.py:build", "model: ../outside.py:build", "lies outside the folder of the experiment file"),
         ("model: rod_model.py:build", "model: {outside}:build", "lies outside the folder of the experiment file"),
