@@ -239,7 +239,7 @@ MISTAKES = [
     ("max_iterations: 2", "feasibility: -1", ["optimizer.feasibility = -1", "must lie in [0, 1]"]),
     ("max_iterations: 2", "max_lanes: 0", ["optimizer.max_lanes = 0", "must lie in"]),
     # the text itself
-    ("seed: 7", "seed: \x07", ["is not YAML: unacceptable character", "without anchors"]),
+    ("seed: 7", "seed: \x07", ["is not YAML: unacceptable character", "are not allowed"]),
     (TEXT, "", ["is null", "must have sections such as model:"]),
 ]
 
