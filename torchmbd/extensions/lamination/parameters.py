@@ -150,6 +150,11 @@ class LaminationParameters(Laminate):
         B = h**2 / 4.0 * (_plane(U, b) - _plane(U, torch.zeros_like(b)))
         return LaminateStiffness(A, B, D, self.shear_correction * h * _shear(G, a))
 
+    @property
+    def mean_inputs(self) -> tuple[Tensor, ...]:
+        """The tensors that `isotropic_stiffness` depends on."""
+        return self._constant, self.total_thickness
+
     def isotropic_stiffness(self) -> LaminateStiffness:
         """The stiffness if all parameters are zero, which is the mean over all directions."""
         U, G = _invariants(self._constant)

@@ -10,7 +10,7 @@
 // One call has columns: solutions with one matrix, each with factors of its own. `start` works on blocks from `begin` to `end`.
 // If the factors cannot be relied on, it returns 1 and its results mean nothing.
 
-constexpr int REFINEMENTS = 2;  // as in saddle/factors.py: with a regularized matrix
+constexpr int REFINEMENTS = 2;  // factors without pivoting, or of a regularized matrix, have errors; no correction follows here
 
 struct Job {
   long lanes, rows, data, columns, third, numbers;   // rows: of cotangents; 0: solutions are wanted;  third: of third rates
@@ -56,7 +56,6 @@ extern "C" long start(const Job* job, long begin, long end, double* scratch) {
   in.entries = entries;
   // b becomes the solution.
   auto solved = [&]() {
-    if (!J.row_mask) return solve(m, N_, K, b);
     std::memcpy((void*)goal, b, N_ * sizeof(V));
     solve(m, N_, K, b);
     for (int k = 0; k < REFINEMENTS; k++) {
@@ -72,7 +71,7 @@ extern "C" long start(const Job* job, long begin, long end, double* scratch) {
     point_data(in, (const V*)J.values + block * J.data);
     for (long n = 0; n < n_x; n++) x[n] = take(J.x + n * L + at, valid);
     if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, spread(2.0), K, b)) return 1;
-    if (J.row_mask) fill(in, m, nullptr, nullptr, exact);
+    fill(in, m, nullptr, nullptr, exact);
     for (long k = 0; k < C; k++) {
       for (int i = 0; J.third && i < 2; i++) u[i] = spread(J.scales[2 * k + i]);
       if (!S) {

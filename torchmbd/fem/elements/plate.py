@@ -208,7 +208,7 @@ class PlateMatrices:
 
     def moved_mean(self, laminate: Laminate) -> Float[Tensor, "*lanes 3"] | None:
         """`present_mean` where it differs from the constants of these matrices, or is differentiated; else None."""
-        inputs = (*laminate.layer_stiffness, laminate.layer_thickness)  # all that it depends on
+        inputs = laminate.mean_inputs
         fixed = not any(is_differentiated(x) for x in inputs)
         if fixed and self._unmoved and all(map(torch.equal, inputs, self._unmoved)):
             return None

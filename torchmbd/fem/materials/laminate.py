@@ -201,6 +201,11 @@ class Laminate(nn.Module):
         vars(result)["_factors"] = factors
         return result
 
+    @property
+    def mean_inputs(self) -> tuple[Tensor, ...]:
+        """The tensors that `isotropic_stiffness` depends on."""
+        return *self.layer_stiffness, self.layer_thickness
+
     def isotropic_stiffness(self) -> LaminateStiffness:
         """Stiffness of the stack with each ply averaged over all directions; it does not depend on the angles."""
         Q, G = self.layer_stiffness

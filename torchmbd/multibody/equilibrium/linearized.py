@@ -453,7 +453,7 @@ def _blocks(J: Tensor) -> list[tuple[Tensor, Tensor]]:
     """Numbers of the rows and of the columns of each block of J [rows, n] that has no entries in common with others."""
     rows = len(J)
     row, column = (J != 0.0).nonzero(as_tuple=True)
-    graph = coo_array((torch.ones(len(row)), (row, rows + column)), shape=(rows + J.shape[1],) * 2)
+    graph = coo_array((torch.ones(len(row), dtype=torch.float64), (row, rows + column)), shape=(rows + J.shape[1],) * 2)
     label = torch.from_numpy(connected_components(graph, directed=False)[1])
     of_rows = label[:rows]
     return [((of_rows == k).nonzero()[:, 0], (label[rows:] == k).nonzero()[:, 0]) for k in of_rows[row].unique()]
