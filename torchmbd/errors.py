@@ -40,17 +40,18 @@ class InputError(MbdError, ValueError):
 
     path     the keys to the argument, the last of which is its name: ("design", "rod.laminate.angles", "upper")
     value    its value
-    allowed  words that follow "must be"; a clause with its own "must"; or the names of which the value must be one
-             (the last key of the path, if `state` is given)
-    hint     the remedy, which follows "Try: "
+    state    what is wrong with the value, if the value alone does not show it: "has shape [3]"
+    allowed  what is required, in words that follow "must be": "a positive number", "0 to 1". Words that need another
+             verb begin with "must": "must have one row for each node". A list has names: the value must be one of
+             them, or the last key of the path must be one, if `state` is given
+    hint     what the user can do, in words that follow "Try: "
 
-    All messages are written from these fields, and have one form:
+    The message is written from these fields. It has one of two forms:
 
         argument = value: must be `allowed`. Try: `hint`
+        argument `state`: must be `allowed`. Try: `hint`
 
-    `allowed` is "a positive number" or "0 to 1", which follow "must be", or begins with "must" where another verb is
-    needed: "must have one row for each node". Where the value does not show what is wrong, `state` stands in its place:
-    "nodes has shape [3]: must have shape [n, 3]". A state that says what is needed needs a hint alone.
+    A part of the message is left out if its field is empty.
 
     An error that was made of a sentence alone has an empty path, and its value is None.
 
@@ -87,10 +88,8 @@ class InputError(MbdError, ValueError):
         self.allowed = allowed if isinstance(allowed, str) else tuple(map(str, allowed))
         self._is_sentence = value is _ABSENT and not state and allowed == "" and not hint
         keys = tuple(argument) if isinstance(argument, (tuple, list)) else (argument,)
-        near = (
-            "" if isinstance(self.allowed, str) else nearest(keys[-1] if state and keys else self.value, self.allowed)
-        )
-        self.hint = ", or ".join(x for x in (near, hint) if x)
+        name = keys[-1] if state and keys else self.value
+        self.hint = hint if isinstance(self.allowed, str) else _remedies(name, self.allowed, hint)
         self.path: Path = () if self._is_sentence else keys
         self._noun = str(argument) if self._is_sentence else noun
         self._shown = shown if shown is not None else "" if value is _ABSENT else _brief(value, _LONGEST)
@@ -173,6 +172,7 @@ class DesignFailure(InputError, SimulationFailure):
     """
 
 
+_NEAR = 0.6  # least likeness of a name that a hint tells: bop and bob have 0.67; weigh and design, 0.55, share letters alone
 _MISSPELT = (
     0.8  # likeness from which on a name is another with an error, as left_edgy; below, a longer word for it may be
 )
@@ -186,27 +186,31 @@ def nearest(name: object, allowed: Iterable[object]) -> str:
     return repr(close) if close else ""
 
 
-def must_be_one(name: object, allowed: Iterable[object]) -> str:
-    """Return the end of a message about an unknown name: "must be one of a, b. Try: 'a'"."""
+def must_be_one(name: object, allowed: Iterable[object], hint: str = "") -> str:
+    """Return the end of a message about an unknown name: "must be one of a, b. Try: 'a'".
+
+    hint  another remedy
+    """
     names = tuple(map(str, allowed))
-    hint = nearest(name, names)
+    hint = _remedies(name, names, hint)
     return f"{must(names)}. Try: {hint}" if hint else must(names)
 
 
-def _closest(name: str, options: list[str], cutoff: float = 0.5) -> str | None:
-    """Return the option that is nearest to a name; None if none is near.
+def _remedies(name: object, allowed: Iterable[object], hint: str) -> str:
+    return ", or ".join(x for x in (nearest(name, allowed), hint) if x)
 
-    cutoff  least likeness
-    """
+
+def _closest(name: str, options: list[str]) -> str | None:
+    """Return the option that is nearest to a name; None if none is near."""
     begun = [option for option in options if len(name) > 2 and _letters(option).startswith(_letters(name))]
     if len(begun) == 1:  # maxiter: max_iterations, not max_time
         return begun[0]
-    close = difflib.get_close_matches(name, options, n=3, cutoff=cutoff)
+    close = difflib.get_close_matches(name, options, n=3, cutoff=_NEAR)
     if close and difflib.SequenceMatcher(None, name, close[0]).ratio() < _MISSPELT:
         close.sort(key=lambda option: len(option) < 3 or not name.startswith(option))  # degrees: deg, not deg/s
     if not close:  # a name in capitals is near to the same in small letters
         small = {option.lower(): option for option in reversed(options)}
-        close = [small[x] for x in difflib.get_close_matches(name.lower(), small, n=1, cutoff=cutoff)]
+        close = [small[x] for x in difflib.get_close_matches(name.lower(), small, n=1, cutoff=_NEAR)]
     return close[0] if close else None
 
 
@@ -378,7 +382,7 @@ class HintedKeywords:
 def _add_names(error: TypeError, function: Callable[..., Any], unknown: dict[str, Any]) -> None:
     """Add the argument whose name is nearest to each keyword that does not exist."""
     for key, value in unknown.items():
-        if name := _closest(key, list(argument_names(function)), cutoff=0.6):
+        if name := _closest(key, list(argument_names(function))):
             error.add_note(f"Try: {name} = ... in place of {key} = {_brief(value)}.")
 
 

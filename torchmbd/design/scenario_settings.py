@@ -19,7 +19,7 @@ from torchmbd.math.plausible_units import check_parameter
 from torchmbd.multibody.system import System
 
 SYSTEM = "system"  # key of a scenario
-_PARAMETER = "mbd.variable(...), which makes a parameter of a plain number of a constructor"
+MAKEMAKE_PARAMETER = "mbd.variable(...), which makes a parameter of a plain number of a constructor"
 
 
 def scenarios_by_name(scenarios: Any) -> Any:
@@ -61,7 +61,7 @@ def settings_of(
             continue
         if name not in parameters:
             noun, state = f"parameter {name!r} {place}", "does not exist"
-            raise InputError((*path, name), setting, parameters, _PARAMETER, noun=noun, state=state)
+            raise InputError((*path, name), setting, parameters, MAKE_PARAMETER, noun=noun, state=state)
         noun = f"{name} {place}"
         if name in variables:
             state, allowed = "is a design variable", "a parameter that is not a design variable"

@@ -69,7 +69,7 @@ def test_bad_elements_are_named():
         (lambda: mbd.SpringDamper(a.at(), b.at(), law=lambda s, r, t: s / 0.0 * 0.0), ["law", "finite"]),
         (lambda: mbd.Force(ground.at(), (1.0, 0.0, 0.0)), ["at least one frame on a body"]),
         (lambda: mbd.Force(a.at(), (1.0, math.nan, 0.0)), ["vector", "three finite numbers"]),
-        (lambda: mbd.Torque(a.at(), (1.0, 0.0, 0.0), axes="body"), ["axes", "'ground', 'frame'"]),
+        (lambda: mbd.Torque(a.at(), (1.0, 0.0, 0.0), axes="body"), ["axes", "'ground' or 'frame'"]),
         (lambda: mbd.System([a], forces=[mbd.SpringDamper(a.at(), b.at(), stiffness=1.0)]), ["body 'b'", "not among"]),
     ):
         with pytest.raises(mbd.InputError) as error:

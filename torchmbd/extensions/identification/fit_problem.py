@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmbd.design.scenario_settings import MAKE_PARAMETER
 from torchmbd.design.space import DesignSpace
 from torchmbd.diagnosis.repetition import finer_count
 from torchmbd.errors import InputError, SimulationFailure
@@ -386,9 +387,8 @@ def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequ
     parameters = {}
     for name in names:
         if name not in every:
-            hint = "mbd.variable(...), which makes a parameter of a plain number of a constructor"
             noun, state = f"unknown {name!r}", "is not a parameter"
-            raise InputError(("unknowns", name), allowed=every, hint=hint, noun=noun, state=state)
+            raise InputError(("unknowns", name), allowed=every, hint=MAKE_PARAMETER, noun=noun, state=state)
         parameters[name] = every[name]
         for key, x in experiments.items():
             of_system = dict(x.system.named_parameters())

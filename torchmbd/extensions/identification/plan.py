@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.design.response_spec import history_of
+from torchmbd.design.scenario_settings import MAKE_PARAMETER
 from torchmbd.design.words import unit as unit_of
 from torchmbd.errors import InputError, must_be_one
 from torchmbd.errors import Path as FaultPath
@@ -297,10 +298,12 @@ def read_identification(
     names = [name for name in identify.unknowns if name not in maker.sensors]
     for name in names:
         if name not in parameters:
-            hint = "; a plain number of a constructor becomes a parameter by mbd.variable(...)"
-            names = must_be_one(name, [*parameters, *maker.sensor_labels])
-            text = f"is not a parameter of the model or a number of a sensor: {names}{hint}"
-            faults.append(Fault(("identify", "unknowns", name), text))
+            text = must_be_one(name, [*parameters, *maker.sensor_labels], MAKE_PARAMETER)
+            faults.append(
+                Fault(
+                    ("identify", "unknowns", name), f"is not a parameter of the model or a number of a sensor: {text}"
+                )
+            )
     if faults:
         return faults
     made = {name: x for name, x in experiments.items() if x is not None}

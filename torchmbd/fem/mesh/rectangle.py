@@ -50,7 +50,7 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
         raise InputError(
             "cells",
             cells,
-            f"must have up to {MOST_NODES:,} nodes",
+            f"must have at most {MOST_NODES:,} nodes",
             noun="rectangle: cells",
             state=f"= {cells!r} have {(nx + 1) * (ny + 1):,} nodes",
         )
