@@ -19,7 +19,7 @@ from torchmbd.math.plausible_units import check_parameter
 from torchmbd.multibody.system import System
 
 SYSTEM = "system"  # key of a scenario
-MAKEMAKE_PARAMETER = "mbd.variable(...), which makes a parameter of a plain number of a constructor"
+MAKE_PARAMETER = "mbd.variable(...), which makes a parameter of a plain number of a constructor"
 
 
 def scenarios_by_name(scenarios: Any) -> Any:
