@@ -73,7 +73,7 @@ MISTAKES = [
         "lower: -90, upper: 90, unit: rad",
         ["lower = -90.0 with unit: rad", "must lie in the range -2 pi to 2 pi. Try: unit: deg"],
     ),
-    (DESIGN, "lower: -90, upper: 90, unit: mm", ["unit = 'mm'", "allowed for rod.laminate.angles: deg, rad"]),
+    (DESIGN, "lower: -90, upper: 90, unit: mm", ["unit = 'mm'", "must be one of deg, rad"]),
     (DESIGN, "lower: -90, upper: 90, unit: deg, step: -5", ["step = -5", "must not be negative"]),
     (DESIGN, "lower: -90, upper: 90, unit: deg, tolerance: -1", ["tolerance = -1", "must not be negative"]),
     ("  rod.laminate.angles: {" + DESIGN + "}", "  {}", ["design is empty", "must have at least one parameter"]),
@@ -216,7 +216,7 @@ MISTAKES = [
         ["scenarios.0.set.slider.mas", "must be one of rod"],
     ),
     ("tracking:", "scenarios: [{set: {slider.mas: 1.0}}]\ntracking:", ["mbd.variable", "options: "]),
-    ("tracking:", f"scenarios: [{{set: {{{THICK}: {{value: 1, unit: deg}}}}}}]\ntracking:", ["unit: deg", "mm, um"]),
+    ("tracking:", f"scenarios: [{{set: {{{THICK}: {{value: 1, unit: deg}}}}}}]\ntracking:", ["thickness.unit = 'deg'", "mm, um"]),
     ("tracking:", f"scenarios: [{{set: {{{PLY}: 1.0}}}}]\ntracking:", ["because it is an angle", "unit: deg"]),
     (
         "tracking:",
@@ -239,7 +239,7 @@ MISTAKES = [
     ("max_iterations: 2", "feasibility: -1", ["optimizer.feasibility = -1", "must lie in [0, 1]"]),
     ("max_iterations: 2", "max_lanes: 0", ["optimizer.max_lanes = 0", "must lie in"]),
     # the text itself
-    ("seed: 7", "seed: \x07", ["is not YAML: unacceptable character", "are not allowed"]),
+    ("seed: 7", "seed: \x07", ["is not YAML: unacceptable character", "must have printable characters"]),
     (TEXT, "", ["is null", "must have sections such as model:"]),
 ]
 

@@ -100,7 +100,7 @@ def misfit(parameter: str, unit: str) -> str | None:
     units = QUANTITIES.get(parameter.rpartition(".")[2])
     if units is None or unit == NONE or UNITS[unit][1] in units:
         return None
-    return f"allowed for {parameter}: {', '.join(name for si in units for name in units_of(si))}, none (SI)"
+    return f"must be one of {', '.join(name for si in units for name in units_of(si))}, none (SI)"
 
 
 def quantity(parameter: str) -> str | None:

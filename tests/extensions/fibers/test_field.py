@@ -131,7 +131,7 @@ REFUSED = {
     "degree": (lambda: mbd.fibers.FiberField(MESH, (2, 2), degree=-1), "degree of a FiberField = -1"),
     "radius": (lambda: mbd.fibers.FiberField(MESH, "cells", radius=0.0), "radius of a FiberField = 0.0"),
     "far": (lambda: mbd.fibers.FiberField(MESH, [[9.0, 0, 0]], radius=0.1), "a control point within it: must reach"),
-    "places": (lambda: mbd.fibers.FiberField(MESH, [["a", "b", "c"]], radius=0.1), "controls of a FiberField = "),
+    "places": (lambda: mbd.fibers.FiberField(MESH, [["a", "b", "c"]], radius=0.1), "controls = "),
     "word": (lambda: mbd.fibers.FiberField(MESH, "nodes", radius=0.1), "'nodes': must be 'cells'"),
     "axes": (lambda: mbd.fibers.FiberField(MESH, (3, 3), axes="xx"), "'xx': must be two of x, y, z"),
     "flat": (lambda: mbd.fibers.FiberField(MESH, (3, 3), axes="xz"), "no extent"),

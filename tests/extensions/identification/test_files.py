@@ -291,7 +291,7 @@ MISTAKES = {
     "an impossible unit of a delay": ("identify.unknowns.angle.delay.unit=mm", r"angle\.delay\.unit = 'mm'.*s, ms"),
     "a delay without bounds": (
         "identify.unknowns.angle.delay={lower: 0, unit: ms}",
-        r"angle\.delay.*finite bounds",
+        r"bounds of angle\.delay.*must be finite",
     ),
     "bounds the wrong way": (
         "identify.unknowns.drag.damping={lower: 2, upper: 1, unit: none}",

@@ -88,7 +88,7 @@ def test_many_scalar_points(read):
             ["SPC1,1,12345,3,4"],
             ["2 grids, the first is 3, components 12345 by SPC1 1 (model.bdf, line 10)", "left out"],
         ),
-        (["RBE3,7,,5,123,1.,123456,1,2", ",3,4"], ["RBE3 7", "C = '123456'", "rotations"]),
+        (["RBE3,7,,5,123,1.,123456,1,2", ",3,4"], ["RBE3 7", "C is '123456'", "rotations"]),
     ],
 )
 def test_what_differs_from_the_deck_is_said(lines, words, read):

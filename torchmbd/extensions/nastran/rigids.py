@@ -89,7 +89,7 @@ def read_constraint(card: Card) -> MultipointConstraint:
                 continue
             component = card.integer(start + 1, f"C{number}", 0)
             if not 1 <= component <= 6:
-                raise wrong_entry(card, f"C{number} is {card.text(start + 1)!r}", "1 to 6", key="C")
+                raise wrong_entry(card, f"C{number} = {card.text(start + 1)!r}", "1 to 6", key="C")
             terms.append(Term(card.integer(start, f"G{number}"), component, card.real(start + 2, f"A{number}")))
     if len(terms) < 2:
         raise wrong_entry(card, f"it has {len(terms)} terms", "must have at least two, G1 C1 A1 G2 C2 A2", key="G")

@@ -107,7 +107,7 @@ def _spring(data: BulkData, link: Link) -> np.ndarray:
     for end, (grid, place, sign) in enumerate(zip(link.grids, (4, 6), (1.0, -1.0), strict=True)):
         component = card.integer(place, f"C{end + 1}")
         if not 1 <= component <= 6:
-            raise wrong_entry(card, f"C{end + 1} is {component}", "1 to 6", key="C")
+            raise wrong_entry(card, f"C{end + 1} = {component}", "1 to 6", key="C")
         axes = data.displacement_axes(grid)
         start = 6 * end + (0 if component <= 3 else 3)
         g[start : start + 3] = sign * axes[(component - 1) % 3]

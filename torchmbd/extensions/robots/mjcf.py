@@ -237,7 +237,8 @@ class _Reader(Values):
         inertial = inertials[0].attrib
         pose, mass = self.pose(f"{where}, inertial", inertial), self.number(f"{where}, inertial", inertial, "mass", "")
         if mass < 0.0:
-            raise wrong_entry(f"{where}, inertial", f"mass is {mass:g}", "zero or positive", key="mass")
+            place = f"{where}, inertial"
+            raise InputError((place, "mass"), mass, "zero or positive", noun=f"{place}: mass", shown=f"{mass:g}")
         if "fullinertia" in inertial:
             xx, yy, zz, xy, xz, yz = self.numbers(f"{where}, inertial", inertial, "fullinertia", "", 6)
             J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

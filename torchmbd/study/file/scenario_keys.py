@@ -37,7 +37,7 @@ def _in_their_units(settings: dict[str, Numbers | Setting]) -> dict[str, Numbers
     for name, x in settings.items():
         if isinstance(x, Setting):
             if text := units.misfit(name, x.unit):
-                raise fault(f"= {x.value} with unit: {x.unit}: {text}", name)
+                raise fault(f"= {x.unit!r}: {text}", name, "unit")
         elif units.quantity(name) == "rad":
             allowed = f"{{value: {x}, unit: deg}}, or unit: rad"
             raise fault(f"= {x}: must have a unit, because it is an angle. Try: {allowed}", name)

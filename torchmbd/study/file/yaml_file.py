@@ -80,7 +80,8 @@ def parse_yaml(text: str, source: str = "<text>") -> Document:
         builder.faults.append(Fault((), f"is not YAML: {problem}{hint}", line))
     except yaml.reader.ReaderError as error:
         line = text[: error.position].count("\n") + 1
-        builder.faults.append(Fault((), f"is not YAML: {str(error).splitlines()[0]}", line))
+        problem = f"unacceptable character #x{ord(text[error.position]):04x}"
+        builder.faults.append(Fault((), f"is not YAML: {problem}: must have printable characters alone", line))
     except yaml.YAMLError as error:
         builder.faults.append(Fault((), f"is not YAML: {str(error).splitlines()[0]}", 1))
     if builder.faults:
