@@ -80,7 +80,7 @@ from torchmbd.multibody.forces import (
 from torchmbd.multibody.joints import (
     ConstantSpeed,
     Cylindrical,
-    Distance,
+    DistanceJoint,
     Drive,
     Fixed,
     JointCoupling,
@@ -190,7 +190,7 @@ __all__ = [
     "DesignSpace",
     "Differences",
     "Displacement",
-    "Distance",
+    "DistanceJoint",
     "Drive",
     "Dynamics",
     "Equilibrium",

@@ -33,7 +33,7 @@ GROUPS: dict[str, str] = {
     "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable io.read_beamdyn io.read_windio",
     "bodies": "Ground RigidBody FlexibleBody io.read_bdf io.write_bdf io.write_model io.write_ply_book io.read_mesh "
     "io.read_matrix Frame Interface io",
-    "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane PointOnCurve Distance Fixed "
+    "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane PointOnCurve DistanceJoint Fixed "
     "JointCoupling Drive ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque Pressure "
     "Temperature AxialStop RotationalStop PlaneContact forces variable",

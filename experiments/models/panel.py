@@ -40,7 +40,7 @@ def build(
     for corner, place, arm in zip(CORNERS[1:], links, LINKS, strict=True):
         arm = torch.tensor(arm, dtype=torch.float64)
         joints.append(
-            mbd.Distance(ground.at(*(place + arm).tolist()), panel.at(corner), float(arm.norm()), name=corner)
+            mbd.DistanceJoint(ground.at(*(place + arm).tolist()), panel.at(corner), float(arm.norm()), name=corner)
         )
     return mbd.System([panel], joints, [mbd.Force(panel.at(FREE), FORCE)])
 

@@ -58,7 +58,7 @@ CASES: dict[str, tuple[Callable[..., Any], Mapping[str, Any], Mapping[str, Any]]
         {"stiffness": 10.0, "damping": 1.0},
         {"stiffness": 1.0},
     ),
-    "Distance": (between(mbd.Distance), {"length": 1.0}, {}),
+    "DistanceJoint": (between(mbd.DistanceJoint), {"length": 1.0}, {}),
     "Drive": (lambda speed: mbd.Drive(GROUND, body(), axis="z", speed=speed), {"speed": 1.0}, {}),
     "Force": (lambda vector: mbd.Force(body().at(), (vector, 0.0, 0.0)), {"vector": 1.0}, {}),
     "Frame": (lambda x: body().at(x, 0, 0), {"x": 0.1}, {}),

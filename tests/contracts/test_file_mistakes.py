@@ -216,7 +216,11 @@ MISTAKES = [
         ["scenarios.0.set.slider.mas", "must be one of rod"],
     ),
     ("tracking:", "scenarios: [{set: {slider.mas: 1.0}}]\ntracking:", ["mbd.variable", "options: "]),
-    ("tracking:", f"scenarios: [{{set: {{{THICK}: {{value: 1, unit: deg}}}}}}]\ntracking:", ["thickness.unit = 'deg'", "mm, um"]),
+    (
+        "tracking:",
+        f"scenarios: [{{set: {{{THICK}: {{value: 1, unit: deg}}}}}}]\ntracking:",
+        ["thickness.unit = 'deg'", "mm, um"],
+    ),
     ("tracking:", f"scenarios: [{{set: {{{PLY}: 1.0}}}}]\ntracking:", ["because it is an angle", "unit: deg"]),
     (
         "tracking:",

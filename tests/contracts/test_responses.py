@@ -256,12 +256,10 @@ def test_the_adjoint_gives_the_same_gradient(response, motions):
     """By the adjoint: of every response, whatever it looks at."""
     measure = AtTime(response, 0.0123) if isinstance(response, History) else response
     expected, result = (measure.of(x) for x in (motions[0], motions[0].stats["reverse"]))
-    # Tangents make the start by operators of torch, the adjoint compiles it. They round alike, not equally, and the third rates
-    # of constraints at the start are h^-3 times rounding (smooth_start.py): two parts in 1e7 of the smallest of these numbers.
-    assert_close(result.value, expected.value, rtol=1e-9, atol=5e-7 * float(expected.value.abs().max()))
+    assert_close(result.value, expected.value, rtol=1e-9, atol=1e-9 * float(expected.value.abs().max()))
     assert result.gradient is not None
     assert expected.gradient is not None
-    assert_close(result.gradient, expected.gradient, rtol=0, atol=2e-7 * float(expected.gradient.abs().max()))
+    assert_close(result.gradient, expected.gradient, rtol=0, atol=1e-8 * float(expected.gradient.abs().max()))
 
 
 @pytest.mark.parametrize("response", [*cases(HISTORIES), *(c for c in cases(MEASURES) if "mass1" not in str(c.id))])

@@ -211,12 +211,12 @@ def test_the_status_of_a_design_names_no_lane(monkeypatch):
     part = problem()
     motions = part._motions
 
-    def refusing(X, gradients):
+    def refusing(X, gradients, **options):
         cut = tuple(np.flatnonzero(X[:, 0] > 1.0).tolist())
         if cut:
             shown = f"2{lane_name(cut[0], len(X))}"
             raise CutCluster(("modes",), 2, "must not divide modes", "", cut, 3, shown)
-        return motions(X, gradients)
+        return motions(X, gradients, **options)
 
     monkeypatch.setattr(part, "_motions", refusing)
     X = np.radians([[20.0, -50.0], [70.0, 15.0], [30.0, 10.0], [80.0, 15.0]])

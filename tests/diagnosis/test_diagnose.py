@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 import torch
 
@@ -31,3 +33,17 @@ def test_the_cause_of_a_failure_is_not_put_off():
     motions = [mbd.simulate(system, 1.0, steps=50, diagnose=x) for x in (True, False)]
     assert "the law of 'valve' is not finite near s = " in motions[0].status[0]
     assert motions[0].status == motions[1].status
+
+
+def test_searches_put_warnings_off_after_their_first_gradients():
+    """A warning comes with the first gradients of a problem and with each evaluation of values, and changes no number."""
+    system = mbd.examples.arm(modes=1)
+    turning = {"arm.angular_velocity": (0.0, -30.0, 0.0)}
+    problem = mbd.Problem(system, 0.01, mbd.Max(mbd.StrainEnergy("arm")), steps=8, motion_start=turning)
+    evaluations = []
+    for gradients, warned in ((True, True), (True, False), (False, True)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            evaluations += problem.evaluate(problem.start[None], gradients)
+        assert warned == any("of its stiffness" in str(x.message) for x in caught)
+    assert len({evaluation.objective for evaluation in evaluations}) == 1

@@ -171,7 +171,7 @@ def oscillator(frequency: float, damping: float = 0.0) -> mbd.System:
 
 @pytest.mark.parametrize(("damping", "more"), [(0.0, True), (0.2, False)])
 def test_vibrations_of_rigid_bodies_keep_their_phase(damping, more):
-    """20 periods, in closed form. What decays within a few periods needs no more steps."""
+    """Displacements of 20 periods against the closed form. A vibration that decays within a few periods needs no more steps."""
     motion = mbd.simulate(oscillator(20.0, damping), 1.0, gradients="none")
     w, t = 40.0 * math.pi, motion.t
     w_d = w * math.sqrt(1.0 - damping**2)

@@ -136,7 +136,7 @@ def test_reactions_beside_a_body_that_is_guided():
     hub, rod = system.bodies
     end = rod.position + rod.axes @ tensor(0.15, 0.0, 0.0)
     wheel = box("wheel", center=(0.0, 0.0, 0.0), position=end + tensor(0.0, 0.3, 0.1))
-    link = mbd.Distance(wheel.at(0.1, 0.0, 0.0), rod.at("right"), length=float(tensor(0.1, 0.3, 0.1).norm()))
+    link = mbd.DistanceJoint(wheel.at(0.1, 0.0, 0.0), rod.at("right"), length=float(tensor(0.1, 0.3, 0.1).norm()))
     joints = [*system.joints, mbd.Revolute(GROUND.at(*wheel.position.tolist()), wheel.at(), name="axle"), link]
     system = mbd.System([hub, rod, wheel], joints, gravity=(0.0, -9.81, 0.0))
     with torch.no_grad():

@@ -109,8 +109,7 @@ def test_the_gradient_is_that_of_forward_tangents(name, method):
     forward, back = (finished(simulated(name, designs, way, method=method)) for way in WAYS)
     assert [motion.stats["gradients"] for motion in (forward, back)] == list(WAYS)
     expected, result = (differentiate(everything, motion) for motion in (forward, back))
-    # Tangents make the start by operators of torch, the other way compiles it: accelerations are h^-2 times rounding.
-    assert_close(result.value, expected.value, rtol=1e-10, atol=0)
+    assert_close(result.value, expected.value, rtol=1e-12, atol=0)
     assert expected.gradient is not None
     assert result.gradient is not None
     size = expected.gradient.abs().amax((0, 2))

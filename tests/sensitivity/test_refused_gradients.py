@@ -206,7 +206,7 @@ REFUSED: dict[str, Callable[[Any], Any]] = {
     "weights": lambda v: plate("p").at([0, 1], weights=[v, 1.0]),
     "velocity ": lambda v: plate("p").moving((v, 0.0, 0.0)),
     "p.damping.ratio": lambda v: plate("p").damped([v, v, v]),
-    "length": lambda v: mbd.Distance(GROUND.at(), box("b").at(), length=v),
+    "length": lambda v: mbd.DistanceJoint(GROUND.at(), box("b").at(), length=v),
     "gravity": lambda v: mbd.System([box("b")], gravity=(0.0, 0.0, v), free=["b"]),
     "stabilization": lambda v: mbd.System([box("b")], stabilization=v, free=["b"]),
     "nodes": lambda v: mbd.BeamLine([[0.0, 0.0, 0.0], [v, 0.0, 0.0]]),

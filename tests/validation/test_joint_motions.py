@@ -112,7 +112,7 @@ def test_a_link_carries_a_conical_pendulum():
     L, al = 0.5, math.radians(40.0)
     rate, r = math.sqrt(G / (L * math.cos(al))), L * math.sin(al)
     bob = ball(position=(r, 0.0, -L * math.cos(al)), velocity=(0.0, rate * r, 0.0))
-    system = mbd.System([bob], [mbd.Distance(GROUND.at(), bob.at(), L, name="link")], gravity=HANG)
+    system = mbd.System([bob], [mbd.DistanceJoint(GROUND.at(), bob.at(), L, name="link")], gravity=HANG)
     motion = run(system, 2.0 * math.pi / rate, 200)
     expected = [
         r * torch.cos(rate * motion.t),

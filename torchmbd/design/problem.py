@@ -152,6 +152,7 @@ class Problem(Summary):
         # Rows of a min-max objective, 0 for an objective of one number; they come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
+        self._is_diagnosed = False  # whether gradients were evaluated
         check_gradients(gradients, integrator)
         self._tangents = len(self.space.entries)
         counts = self._tangents, self._count
@@ -270,12 +271,13 @@ class Problem(Summary):
 
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
         """Motions of designs [lanes, n], differentiable with respect to all design variables if `gradients`."""
-        n = len(self.space.names)  # X may have the extra variable, which changes no motion
-        return self._motion(self.simulation, self.space.designs(self._checked(X, n, len(self.names))[:, :n]), gradients)
+        return self._motions(self._checked(X, len(self.space.names), len(self.names)), gradients)[0]
 
-    def _motion(self, simulation: Simulation, designs: dict[str, Tensor], gradients: bool) -> Trajectory:
+    def _motion(
+        self, simulation: Simulation, designs: dict[str, Tensor], gradients: bool, diagnose: bool = True
+    ) -> Trajectory:
         mode = self.gradients if gradients else "none"
-        return simulation.with_steps(self.steps)(designs, mode, self.space.variables)
+        return simulation.with_steps(self.steps)(designs, mode, self.space.variables, diagnose=diagnose)
 
     def cases(self, X: np.ndarray) -> list[tuple[Simulation, dict[str, Tensor]]]:
         """The simulations of designs [lanes, n], one for each system, with the parameters [lanes, ...] of their batches."""
@@ -341,14 +343,16 @@ class Problem(Summary):
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n]; return an Evaluation for each, with a status that says whether the design failed.
 
-        They are one simulation, or several batches if their motions would fill a large part of the memory.
+        They are one simulation, or several batches if their motions would fill a large part of the memory. Warnings of what the
+        model leaves out, such as stiffening by loads, come with values, and with the first gradients of a problem: those that
+        follow are mostly steps of a search, whose best design is verified.
         """
         X = self._checked(X, len(self.names))
         batch = max(1, self._lanes_at_once(gradients) // self.simulations) if len(X) > 1 else 1
         if len(X) > batch:
             return [e for k in range(0, len(X), batch) for e in self.evaluate(X[k : k + batch], gradients)]
         try:
-            motions = self._motions(X, gradients)
+            motions = self._motions(X, gradients, diagnose=not (gradients and self._is_diagnosed))
         except CutCluster as error:  # names its lanes, so that the other designs remain one batch
             if len(X) == 1:
                 return [Evaluation.failure(f"failed: {error}", self.rows)]
@@ -358,6 +362,7 @@ class Problem(Summary):
             return [failed[lane] if lane in failed else evaluations[lane] for lane in range(len(X))]
         except (InputError, SimulationFailure) as error:
             return self._refused(X, gradients, self._refusal(X, gradients, error) if len(X) == 1 else "")
+        self._is_diagnosed |= gradients
         reference = self.reference  # outside of `try`: a start that fails is no failure of these designs
         try:
             values, slopes = self._rows(reference, motions, X)
@@ -375,9 +380,9 @@ class Problem(Summary):
         rows = [c.measure for c, part in parts for _ in range(part.stop - part.start)]
         return [self.stated_objective] * (1 + self.rows - len(rows)) + rows
 
-    def _motions(self, X: np.ndarray, gradients: bool) -> list[Trajectory]:
+    def _motions(self, X: np.ndarray, gradients: bool, diagnose: bool = True) -> list[Trajectory]:
         """Motions of designs [lanes, n], one for each system."""
-        return [self.simulate(X, gradients)]
+        return [self._motion(simulation, designs, gradients, diagnose) for simulation, designs in self.cases(X)]
 
     def _refused(self, X: np.ndarray, gradients: bool, status: str) -> list[Evaluation]:
         """Evaluations where the structure stage or a measure refuses some design: each design alone shows which."""

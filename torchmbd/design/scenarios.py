@@ -241,10 +241,10 @@ class Scenarios(Problem):
         """Motions of one design [n], one for each system, a lane for each of its scenarios (`groups` has their names)."""
         return self._motions(np.asarray(x, dtype=float)[None], False)
 
-    def _motions(self, X: np.ndarray, gradients: bool) -> list[Trajectory]:
+    def _motions(self, X: np.ndarray, gradients: bool, diagnose: bool = True) -> list[Trajectory]:
         X = self._checked(X, len(self.space.names), len(self.names))
         try:
-            return [self._motion(simulation, designs, gradients) for simulation, designs in self.cases(X)]
+            return super()._motions(X, gradients, diagnose)
         except CutCluster as error:  # its lanes count scenarios, so they are no indices of designs
             raise within("scenarios", error, *error.path) from error
 

@@ -213,8 +213,7 @@ class Spline:
         """The largest value of every interval [..., n - 1]; the value of a single knot [..., 1]."""
         if self.t.shape[-1] < 2:
             return self.y
-        s, _ = self._maximum_positions()
-        return self._at_positions(s)
+        return self._at_positions(self._plain._maximum_positions()[0])
 
     def maximum(self) -> Tensor:
         """The largest value [...]; of peaks that are exactly equal the gradient is the mean, a subgradient."""
@@ -225,7 +224,9 @@ class Spline:
 
         If there are fewer, the maxima of the lowest intervals follow.
         """
-        s, local = self._maximum_positions()
+        s, inner = self._plain._maximum_positions()
+        starts, ends = self._plain._ends_that_are_maxima()
+        local = inner | (starts & (s == 0.0)) | (ends & (s == 1.0))
         tops = self._at_positions(s)
         rank = torch.argsort(torch.argsort(tops.detach(), -1), -1)
         # Local maxima from the highest down, then all other intervals from the lowest up, then those without length.
@@ -236,7 +237,7 @@ class Spline:
 
     def extremes(self) -> Tensor:
         """The first value, the largest and the smallest of every interval in order of time, and the last [..., 2 n]."""
-        both = [curve._maximum_positions()[0] for curve in (self, self.negative())]
+        both = [curve._maximum_positions()[0] for curve in (self._plain, self._plain.negative())]
         positions = torch.stack(both, -1).sort(-1).values
         inner = torch.stack([self._at_positions(s) for s in positions.unbind(-1)], -1).flatten(-2)
         return torch.cat([self.y[..., :1], inner, self.y[..., -1:]], -1)
@@ -245,18 +246,17 @@ class Spline:
         """Value at the position s, 0 to 1, in every interval [..., n - 1]."""
         return hermite(self.ends, self._lengths[0], s)
 
-    def _maximum_positions(self) -> tuple[Tensor, Tensor]:
-        """Position of the largest value in every interval, 0 to 1, and whether it is a local maximum of the curve.
+    @property
+    def _plain(self) -> Spline:
+        """The curve by constants: neither autograd nor torch.func differentiates a search for its peaks."""
+        return replace(self, t=self.t.detach(), **{name: x.detach() for name, (_, x) in self._knots.items()})
 
-        Constants: neither autograd nor torch.func differentiates the search.
-        """
-        plain = replace(self, t=self.t.detach(), **{name: x.detach() for name, (_, x) in self._knots.items()})
-        root, inner = plain._stationary_positions()
-        y0, y1 = plain.y[..., :-1], plain.y[..., 1:]
-        inner = inner & plain._lengths[1] & (plain._at_positions(root) >= torch.maximum(y0, y1))
-        s = torch.where(inner, root, (y1 > y0).to(y0.dtype))
-        starts, ends = plain._ends_that_are_maxima()
-        return s, inner | (starts & (s == 0.0)) | (ends & (s == 1.0))
+    def _maximum_positions(self) -> tuple[Tensor, Tensor]:
+        """Position of the largest value in every interval, 0 to 1, and whether the slope is zero there."""
+        root, inner = self._stationary_positions()
+        y0, y1 = self.y[..., :-1], self.y[..., 1:]
+        inner = inner & self._lengths[1] & (self._at_positions(root) >= torch.maximum(y0, y1))
+        return torch.where(inner, root, (y1 > y0).to(y0.dtype)), inner
 
     def _ends_that_are_maxima(self) -> tuple[Tensor, Tensor]:
         """At which intervals the curve, or a piece of it, has a local maximum at the start or at the end [..., n - 1].

@@ -4,7 +4,7 @@
     stepper           equal steps of one-step methods, with tangents
     adjoint_solver    the same steps backwards
     unknowns          of a step whose size differs from lane to lane
-    accelerations, smooth_start   of the start of a motion
+    accelerations, third_rates    of the start of a motion
     right_hand_side   of the index-1 equations
 
 `Backend` itself is "eager", the reference. Another one is a subclass with those of these parts that it makes, and a line of the
@@ -24,7 +24,6 @@ from torch import Tensor
 from torchmbd.errors import InputError, warn
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid
 from torchmbd.integrate.ode import RightHandSide
-from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.step import Model, Step, Weights
 from torchmbd.integrate.stepper import EagerStepper
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -66,12 +65,15 @@ class Backend:
         """Unknowns [n, 1, lanes] of a step, and the sizes of its last two corrections [2, lanes]; None: variable_step.py."""
         return None
 
-    def accelerations(self, dynamics: Dynamics, q: Any, v: Any) -> tuple[Tensor, Tensor] | None:
-        """Accelerations [n_v, 1, lanes] and multipliers [rows, 1, lanes] at the start of a motion; None: dynamics.py."""
+    def accelerations(self, dynamics: Dynamics, q: Any, v: Any) -> Tensor | None:
+        """Accelerations at the start of a motion, above their multipliers [n_v + rows, 1, lanes]; None: dynamics.py.
+
+        Differentiable; of coordinates with tangents the values alone.
+        """
         return None
 
-    def smooth_start(self, dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart | None:
-        """As `smooth_start` of smooth_start.py, of the start of a motion; None: it serves itself."""
+    def third_rates(self, dynamics: Dynamics, weights: Weights, x: State, h: Any) -> Tensor | None:
+        """`known` of smooth_start.py at the start of a motion by steps of sizes h; None: it serves itself."""
         return None
 
     def threads(self, dynamics: Dynamics, work: Sequence[str]) -> int:

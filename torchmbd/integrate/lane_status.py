@@ -20,9 +20,7 @@ from torchmbd.integrate.contacts import UnresolvedContact
 from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.statistics import ITERATION_ERROR, TURN, Statistics
-from torchmbd.math.pair import value
 from torchmbd.multibody.equations import equations
-from torchmbd.multibody.saddle.expansion import Expansion
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, has_failed
@@ -136,8 +134,7 @@ def _violations_at_end(dynamics: Dynamics, history: History, duration: float) ->
     T, q, x = dynamics.topology, history.q[-1:, :, :1], history.expansion
     t = q.new_tensor([duration])
     if x is not None:
-        data = {name: value(y) for name, y in x.data.items()}
-        q = Expansion.of(x.condensation, data, t).rows(0, q)
+        q = x.at_end().rows(0, q)
     at = equations.placement(T, dynamics.data, q[0], T.prescribed(t[0], dynamics.data))
     return equations.constraints(T, at).abs()[:, 0].expand(-1, q.shape[-1])
 

@@ -111,8 +111,8 @@ class OneStep(Integrator):
         if not dynamics.topology.rows:
             return SmoothStart()
         weights = self.weights(1.0)
-        compiled = backend_of(dynamics).smooth_start(dynamics, weights, x, t, h) if closed else None
-        return compiled or smooth_start(dynamics, weights, x, t, h, closed, solver)
+        known = backend_of(dynamics).third_rates(dynamics, weights, x, h) if closed else None
+        return smooth_start(dynamics, weights, x, t, h, closed, solver, known)
 
     def estimates(self, dynamics: Dynamics, duration: float, steps: int) -> StepEstimates:
         return StepEstimates(dynamics, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), duration, steps)

@@ -104,11 +104,13 @@ def initial(dynamics: Dynamics) -> tuple[State, SaddleSolver | None]:
     """Consistent initial positions, velocities and accelerations, pairs if the data are; and the solver of these."""
     t = torch.zeros((), dtype=torch.float64)
     q, v = (_paired(x, dynamics.tangents) for x in dynamics.start)
-    solver, solved = None, backend_of(dynamics).accelerations(dynamics, q, v)
-    if solved is None:
+    solver, known = None, backend_of(dynamics).accelerations(dynamics, q, v)
+    if known is not None and not isinstance(q, Pair):
+        n_v = dynamics.topology.n_v
+        a, lam = known[:n_v], known[n_v:]
+    else:
         solver = SaddleSolver(dynamics, t, q)
-        solved = dynamics.accelerations(t, q, v, solver)
-    a, lam = solved
+        a, lam = dynamics.accelerations(t, q, v, solver, known)
     return State(q, v, a, a, lam), solver
 
 

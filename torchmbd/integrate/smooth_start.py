@@ -34,7 +34,7 @@ from torch import Tensor
 from torchmbd.integrate.lanes import pick_lanes
 from torchmbd.integrate.step import Weights
 from torchmbd.math.elementwise import reciprocal
-from torchmbd.math.pair import cat, cross
+from torchmbd.math.pair import Pair, cat, cross
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.equations import Placement
@@ -83,6 +83,7 @@ def smooth_start(
     h: Any,
     closed: bool = False,
     solver: SaddleSolver | None = None,
+    known: Tensor | None = None,
 ) -> SmoothStart:
     """Return the smooth start near states x of a system that is not condensed, at times t [1 + n, lanes].
 
@@ -90,8 +91,12 @@ def smooth_start(
     h         sizes of regular steps [1 + n, lanes], over which the third rates are found from positions
     closed    x solves the constraints with their rates and has the accelerations of its forces: at the start of a motion
     solver    of these accelerations, where there is one
+    known     jerk and d, each above its multipliers [n_v + rows, 2, lanes], where they are; of tangents their values
     """
     lag, scales = start_weights(weights)
+    if known is not None and not isinstance(x.q, Pair):
+        jerk, offset = known[: dynamics.topology.n_v].split(1, 1)
+        return SmoothStart(jerk, offset, lag)
 
     def of_time(dynamics: Dynamics, t: Tensor, q: Any, v: Any, vd: Any, h: Any) -> tuple:
         T = dynamics.topology
@@ -104,7 +109,8 @@ def smooth_start(
                 known = known + h * phi.velocity + (0.5 * h * h) * phi.acceleration
             return third_rates_of_constraints(T, data, end, known, v, vd, h)
 
-        return tuple((solver or SaddleSolver(dynamics, t, q)).along_constraints(third_rates, scales, of=(v, vd, h)))
+        solver_there = solver or SaddleSolver(dynamics, t, q)
+        return tuple(solver_there.along_constraints(third_rates, scales, (v, vd, h), known))
 
     jerk, offset = at_time(of_time, dynamics, t, x.q, x.v, x.vd, h)
     return SmoothStart(jerk, offset, lag)

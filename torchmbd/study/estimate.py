@@ -5,9 +5,13 @@
 One design is evaluated twice, which tells what is done once. Then a batch is evaluated, with its responses and gradients: the
 first of the study, or as many of its designs as there is time for.
 
-Simulations of a sweep: its points. Of an optimization: 1.7 for each iteration of each start, as in the shipped studies, and no
-start ends early. Of a front: the same for each anchor from each start and from each anchor, for each point, and once more for
-each. Times are those of this machine without other load; the memory is what `check` has taken.
+The number of simulations depends on the kind of study:
+
+    sweep         one for each point
+    optimization  1.7 for each iteration of each start, as in the shipped studies; no start ends early
+    front         as an optimization for each anchor, from each start and from the other anchors, and for each point
+
+Times are measured on this machine without other load; the memory is the peak of `check` itself.
 Checked in tests/study/test_estimate.py.
 """
 
@@ -86,14 +90,16 @@ def estimate(study: StudySettings, problem: Problem) -> Estimate:
     each = math.ceil(_PER_ITERATION * study.max_iterations) if study.sweep is None else 1
     begin_stage("evaluating the start design")
     first = _seconds(problem, X[:1], mode)  # with what is done once per process
-    one = first if first > _PATIENCE else _seconds(problem, X[:1], mode)
-    count = min(max(1, int(_PATIENCE / one)) if one else len(X), len(X))
+    alone = first if first > _PATIENCE else _seconds(problem, X[:1], mode)
+    count = min(max(1, int(_PATIENCE / alone)) if alone else len(X), len(X))
     begin_stage(f"evaluating {plural(count, 'design')}, gradients: {mode}")
-    batch = (one if count == 1 else _seconds(problem, X[:count], mode)) * len(X) / count
+    batch = (alone if count == 1 else _seconds(problem, X[:count], mode)) * len(X) / count
     batches = each * sum(math.ceil(size / LANES) for size in groups)
-    once = max(first - one, 0.0) + _TRACKING
+    once = max(first - alone, 0.0) + _TRACKING
     memory = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return Estimate(each * sum(groups) * cases, len(X) * cases, batch, batches * batch + once, once, one, memory, mode)
+    return Estimate(
+        each * sum(groups) * cases, len(X) * cases, batch, batches * batch + once, once, alone, memory, mode
+    )
 
 
 def _seconds(problem: Problem, X: np.ndarray, mode: str) -> float:

@@ -21,7 +21,7 @@ def driven_chain() -> mbd.System:
     joints = [
         *chain.joints,
         mbd.Drive(ground.at(), first.at("left"), angle=lambda t: 0.2 * torch.sin(20.0 * t), name="motor"),
-        mbd.Distance(tip, weight.at(), (0.01 + 0.25 + 0.04) ** 0.5),
+        mbd.DistanceJoint(tip, weight.at(), (0.01 + 0.25 + 0.04) ** 0.5),
         mbd.PointOnPlane(ground.at(0.0, 0.5, 0.0), weight.at(), normal="y"),
     ]
     table = mbd.forces.Table(((-2.0, 1.0), (0.0, 0.2), (1.0, -1.0)), damping=0.02)

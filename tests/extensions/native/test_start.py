@@ -31,10 +31,10 @@ def turning_beam() -> mbd.System:
 
 def turned() -> mbd.System:
     """Two rigid bodies with rates in all directions, joined by a ball."""
-    one = box("one", angular_velocity=(1.0, -2.0, 3.0), position=(0.1, 0.0, 0.0))
-    two = box("two", angular_velocity=(0.5, 4.0, -1.0), position=(0.3, 0.0, 0.0))
-    joints = [mbd.Spherical(mbd.Ground().at(), one.at()), mbd.Spherical(one.at(0.2, 0.0, 0.0), two.at())]
-    return mbd.System([one, two], joints, gravity=(0.0, 0.0, -9.81))
+    inner = box("inner", angular_velocity=(1.0, -2.0, 3.0), position=(0.1, 0.0, 0.0))
+    outer = box("outer", angular_velocity=(0.5, 4.0, -1.0), position=(0.3, 0.0, 0.0))
+    joints = [mbd.Spherical(mbd.Ground().at(), inner.at()), mbd.Spherical(inner.at(0.2, 0.0, 0.0), outer.at())]
+    return mbd.System([inner, outer], joints, gravity=(0.0, 0.0, -9.81))
 
 
 SYSTEMS: dict[str, Callable[[], mbd.System]] = {name: make for name, (make, _, _) in CASES.items()}
@@ -44,7 +44,7 @@ BY_TORCH = ("laws of drives", "all held")  # drives with design variables
 
 
 def dynamics_of(system: mbd.System, lanes: int) -> Dynamics:
-    """Of designs that differ by up to a tenth."""
+    """The dynamics of a batch: each number of a design is up to a tenth greater than in the system."""
     generator = torch.Generator().manual_seed(3)
     batch = {
         name: x.detach() * (1.0 + 0.1 * torch.rand(lanes, *x.shape, generator=generator, dtype=x.dtype))

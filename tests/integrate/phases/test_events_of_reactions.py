@@ -65,7 +65,7 @@ START = 0.3  # [rad] from the top
 def sliding() -> mbd.System:
     """A ball that a rod of one meter holds to the origin, let go near the top; its weight is a variable [N]."""
     ball = mbd.RigidBody("ball", 2.0, (0.1, 0.1, 0.1), position=(math.sin(START), 0.0, math.cos(START)))
-    rod = mbd.Distance(mbd.Ground().at(), ball.at(), 1.0, name="rod")
+    rod = mbd.DistanceJoint(mbd.Ground().at(), ball.at(), 1.0, name="rod")
     return mbd.System([ball], [rod], [mbd.Force(ball.at(), (0.0, 0.0, mbd.variable(-2.0 * G)), name="weight")])
 
 

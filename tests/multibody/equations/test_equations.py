@@ -149,7 +149,7 @@ def mixed(stiffening: bool = False) -> mbd.System:
     joints = [
         mbd.Revolute(ground.at(0.1, 0.2, 0.3, axes=turned(0.5, 0.1, 0.2)), first.at(0.1, 0, 0), axis="y"),
         mbd.Cylindrical(link.at("left"), first.at(0.2, 0.1, 0), axis="x"),
-        mbd.Distance(link.at("right"), second.at(0.0, 0.1, 0.1), length=0.3),
+        mbd.DistanceJoint(link.at("right"), second.at(0.0, 0.1, 0.1), length=0.3),
         mbd.Universal(other.at("left"), link.at("corner_left_top"), axes="zx"),
         mbd.Drive(ground, second, axis="x", speed=7.0),
         mbd.Spherical(second.at(), ground.at(0.4, 0.1, 0.2)),

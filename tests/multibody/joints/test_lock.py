@@ -32,7 +32,7 @@ def test_freedoms_that_a_joint_leaves(kind):
 
 def test_a_link_leaves_all_but_one():
     body = box("body", position=(0.0, 0.6, 0.8))
-    assert len(freedoms(mbd.Distance(GROUND.at(), body.at(), length=1.0))) == 5
+    assert len(freedoms(mbd.DistanceJoint(GROUND.at(), body.at(), length=1.0))) == 5
 
 
 def test_what_cannot_move_cannot_be_locked():

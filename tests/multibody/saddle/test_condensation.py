@@ -60,7 +60,7 @@ def guided() -> mbd.System:
         joints=[
             mbd.Prismatic(GROUND.at(0.0, 0.0, 0.0, axes=skew), slider.at(), axis="x"),
             mbd.Revolute(GROUND.at(0.0, 1.0, 0.0), wheel.at(), axis="z"),
-            mbd.Distance(wheel.at(0.3, 0.0, 0.0), slider.at(0.0, 0.1, 0.0), length=1.42**0.5),
+            mbd.DistanceJoint(wheel.at(0.3, 0.0, 0.0), slider.at(0.0, 0.1, 0.0), length=1.42**0.5),
             mbd.Fixed(GROUND.at(2.0, 0.0, 0.0), block.at()),
             mbd.Spherical(block.at(), bob.at(0.0, 0.0, 1.0)),
         ],

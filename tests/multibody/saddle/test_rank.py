@@ -71,7 +71,7 @@ def test_the_rows_that_are_lost_in_line_are_those_along_the_line():
     joints = [
         mbd.Revolute(ground.at(), a.at(), name="left"),
         mbd.Revolute(a.at(1.0, 0.0, 0.0), b.at(), name="middle"),
-        mbd.Distance(ground.at(2.0, 0.0, 0.0), b.at(0.5, 0.0, 0.0), 0.5, name="rod"),
+        mbd.DistanceJoint(ground.at(2.0, 0.0, 0.0), b.at(0.5, 0.0, 0.0), 0.5, name="rod"),
     ]
     dynamics = mbd.System([a, b], joints)().dynamics
     T = dynamics.topology

@@ -217,7 +217,7 @@ def test_what_cannot_close_is_named_with_its_residual():
     ground, a = mbd.Ground(), box("a")
     joints = [
         mbd.Revolute(ground.at(), a.at(), axis="z", name="hinge"),
-        mbd.Distance(ground.at(3.0, 0.0, 0.0), a.at(0.5, 0.0, 0.0), length=1.0, name="short_link"),
+        mbd.DistanceJoint(ground.at(3.0, 0.0, 0.0), a.at(0.5, 0.0, 0.0), length=1.0, name="short_link"),
     ]
     with pytest.raises(InputError) as error:
         mbd.System([a], joints)().initial_state()

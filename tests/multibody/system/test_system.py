@@ -196,8 +196,8 @@ class TestJointDoor:
 
     @pytest.mark.parametrize("length", [0.0, -1.0, math.nan, math.inf])
     def test_length(self, length):
-        with refused("distance_a_b.length"):
-            mbd.Distance(box("a").at(), box("b").at(), length=length)
+        with refused("distancejoint_a_b.length"):
+            mbd.DistanceJoint(box("a").at(), box("b").at(), length=length)
 
     @pytest.mark.parametrize(
         "given", [{}, {"speed": 1.0, "angle": torch.sin}, {"speed": math.nan}, {"speed": math.inf}]

@@ -21,7 +21,6 @@ from torchmbd.extensions.native.steps import NativeStepper
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Grid
 from torchmbd.integrate.backend import Backend
 from torchmbd.integrate.ode import RightHandSide
-from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.step import Step, Weights
 from torchmbd.integrate.stepper import EagerStepper
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -54,11 +53,11 @@ class NativeBackend(Backend):
     def unknowns(self, dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
         return steps_of_size.unknowns(dynamics, step)
 
-    def accelerations(self, dynamics: Dynamics, q: Any, v: Any) -> tuple[Tensor, Tensor] | None:
+    def accelerations(self, dynamics: Dynamics, q: Any, v: Any) -> Tensor | None:
         return start.accelerations(dynamics, q, v)
 
-    def smooth_start(self, dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart | None:
-        return start.smooth_start(dynamics, weights, x, t, h)
+    def third_rates(self, dynamics: Dynamics, weights: Weights, x: State, h: Any) -> Tensor | None:
+        return start.third_rates(dynamics, weights, x, h)
 
     def threads(self, dynamics: Dynamics, work: Sequence[str]) -> int:
         if "step" not in work or calls_back(dynamics):

@@ -343,7 +343,7 @@ class _Accelerations:
         self.z = Array.input(s.program, "z", (T.n_v + T.rows, 1, 1))
 
     def known(self, laws: list[tuple | None], t: Any) -> Prescribed:
-        """What drives prescribe, of systems whose only prescribed body is the ground."""
+        """The placement of the ground and the values of drives; systems with other prescribed bodies are not compiled."""
         return Prescribed(laws, self.eye, self.origin, t)  # pyright: ignore[reportArgumentType]
 
     def placement(self, data: Any, q: Any) -> Any:

@@ -102,10 +102,10 @@ def obstacle(dynamics: Dynamics, work: Sequence[str]) -> str | None:
     if not work:
         return None
     steps = with_traced_laws(dynamics.condensed()) if "step" in work else known
-    wanted = [(steps, kind) for kind in work]
+    parts = [(steps, kind) for kind in work]
     if "step" in work and has_start(known):
-        wanted.append((known, "start"))
-    return _failed.get(_load(wanted)[0])
+        parts.append((known, "start"))
+    return _failed.get(_load(parts)[0])
 
 
 def has_start(dynamics: Dynamics) -> bool:
@@ -185,11 +185,11 @@ def _mechanism(T: Topology, known: Dynamics, kind: str, name: str, code: ctypes.
     return mechanisms[name]
 
 
-def _load(wanted: Sequence[tuple[Dynamics, str]]) -> list[str]:
+def _load(parts: Sequence[tuple[Dynamics, str]]) -> list[str]:
     """Load libraries of a system, or of its condensed one; those that are missing are built first, in parallel: their names."""
     missing: dict[str, tuple[Dynamics, str]] = {}
-    names = [key(dynamics, kind) for dynamics, kind in wanted]
-    for (dynamics, kind), name in zip(wanted, names, strict=True):
+    names = [key(dynamics, kind) for dynamics, kind in parts]
+    for (dynamics, kind), name in zip(parts, names, strict=True):
         if name in _loaded or name in _failed:
             continue
         code = _loaded_library(_path(name, kind))
@@ -199,7 +199,7 @@ def _load(wanted: Sequence[tuple[Dynamics, str]]) -> list[str]:
             _loaded[name] = code
     if not missing:
         return names
-    system = ", ".join(wanted[0][0].topology.names)
+    system = ", ".join(parts[0][0].topology.names)
     with stage("compiling"), ThreadPoolExecutor(len(missing)) as pool:
         # tracing is of one thread
         texts = [functions.source(data.kind_of(dynamics), kind) for dynamics, kind in missing.values()]

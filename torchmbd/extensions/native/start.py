@@ -1,8 +1,8 @@
 """The start of motions by compiled code (start.cpp): accelerations and the smooth start of smooth_start.py, with derivatives in
 reverse mode. The same numbers as by operators of torch.
 
-These serve where data or times have tangents, where a time or a drive has design variables, where laws are called back or no
-joints are there, and where the factors cannot be relied on.
+These add tangents to the numbers. They serve where a drive or the duration has design variables, where laws are called back or
+no joints are there, and where the factors cannot be relied on.
 Checked in tests/extensions/native/test_start.py.
 """
 
@@ -22,10 +22,10 @@ from torchmbd.extensions.native.library import Library, has_start, library
 from torchmbd.extensions.native.simd_layout import LANES, addresses, in_blocks, lanes_out
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.prepared import detached
-from torchmbd.integrate.smooth_start import SmoothStart, start_weights
+from torchmbd.integrate.smooth_start import start_weights
 from torchmbd.integrate.step import Weights
 from torchmbd.math.gradients import is_differentiated
-from torchmbd.math.pair import Pair
+from torchmbd.math.pair import value
 from torchmbd.math.threads import run_blocks
 from torchmbd.math.vmap import FirstDerivative, batch_first
 from torchmbd.multibody.equations.data import Data
@@ -54,39 +54,29 @@ class _Job(ctypes.Structure):
     _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
 
 
-def accelerations(dynamics: Dynamics, q: Any, v: Any) -> tuple[Tensor, Tensor] | None:
-    """Accelerations [n_v, 1, lanes] and multipliers [rows, 1, lanes] at t = 0; None: there is no such code."""
-    if (code := _code(dynamics, q, v)) is None:
+def accelerations(dynamics: Dynamics, q: Any, v: Any) -> Tensor | None:
+    """Accelerations at t = 0 above their multipliers [n_v + rows, 1, lanes]; None: there is no such code."""
+    if not has_start(dynamics) or (code := library(dynamics, "start")) is None:
         return None
     T, t = dynamics.topology, torch.zeros((), dtype=torch.float64)
-    jets = [jet for drive in T.law_jets(t, dynamics.data) if drive is not None for jet in drive]
+    plain = _without_graph(dynamics)
+    jets = [jet for drive in T.law_jets(t, plain.data) if drive is not None for jet in drive]
     parts = [x for jet in jets for x in jet.parts]
     numbers = _numbers(t, 1.0 / dynamics.stabilization, parts, [jet.value for jet in jets])
-    z = _Start(code, _without_graph(dynamics), numbers).solve(dynamics.data, q, v, torch.zeros_like(v))
-    return None if z is None else (z[: T.n_v], z[T.n_v :])
+    return _Start(code, plain, numbers).solve(dynamics.data, q, v, 0.0 * value(v))
 
 
-def smooth_start(dynamics: Dynamics, weights: Weights, x: State, t: Any, h: Any) -> SmoothStart | None:
-    """As `smooth_start` of smooth_start.py, of states at t = 0 and steps of one size; None: there is no such code."""
-    if (code := _code(dynamics, x.q, x.v, x.vd, t, h)) is None or is_differentiated(h):
+def third_rates(dynamics: Dynamics, weights: Weights, x: State, h: Any) -> Tensor | None:
+    """`known` of smooth_start.py at t = 0 for steps of one size; None: there is no such code."""
+    if is_differentiated(value(h)) or not has_start(dynamics) or (code := library(dynamics, "start")) is None:
         return None
-    lag, scales = start_weights(weights)
-    T, h = dynamics.topology, h.flatten()[0]
-    schedule = T.schedule(torch.stack([t.flatten()[0], h]), dynamics.data)
+    _, scales = start_weights(weights)
+    plain, size = _without_graph(dynamics), value(h).flatten()[0]
+    schedule = plain.topology.schedule(torch.stack([torch.zeros_like(size), size]), plain.data)
     laws = [x for drive in schedule.laws if drive is not None for x in drive]  # their rates do not enter
-    numbers = _numbers(h, 0.0, [y for x in laws for y in (x[0], 0.0 * x[0], 0.0 * x[0])], [x[1] for x in laws])
-    start = _Start(code, _without_graph(dynamics), numbers, torch.tensor(scales, dtype=torch.float64))
-    z = start.solve(dynamics.data, x.q, x.v, x.vd)
-    if z is None:
-        return None
-    jerk, offset = z[: T.n_v].split(1, 1)
-    return SmoothStart(jerk, offset, lag)
-
-
-def _code(dynamics: Dynamics, *numbers: Any) -> Library | None:
-    if dynamics.tangents or any(isinstance(x, Pair) for x in numbers) or not has_start(dynamics):
-        return None
-    return library(dynamics, "start")
+    numbers = _numbers(size, 0.0, [y for x in laws for y in (x[0], 0.0 * x[0], 0.0 * x[0])], [x[1] for x in laws])
+    start = _Start(code, plain, numbers, torch.tensor(scales, dtype=torch.float64))
+    return start.solve(dynamics.data, x.q, x.v, x.vd)
 
 
 _plain: WeakKeyDictionary[Dynamics, Dynamics] = WeakKeyDictionary()
@@ -95,13 +85,13 @@ _plain: WeakKeyDictionary[Dynamics, Dynamics] = WeakKeyDictionary()
 def _without_graph(dynamics: Dynamics) -> Dynamics:
     """The dynamics without a graph of torch, kept as long as they: accelerations and smooth start share it."""
     if dynamics not in _plain:
-        _plain[dynamics] = detached(dynamics).share_rank(dynamics)
+        _plain[dynamics] = detached(dynamics.values()).share_rank(dynamics)
     return _plain[dynamics]
 
 
 def _numbers(h: Tensor, rate: float, jets: Sequence[Tensor], ends: Sequence[Tensor]) -> Tensor:
-    """What all lanes share [n, LANES]: factors (start.cpp), the step h [], the rate of the stabilization, the time, and what
-    drives prescribe, with its derivatives, at t = 0 and after the step."""
+    """Numbers that are the same in all lanes [n, LANES]: two factors (start.cpp), the step h [], the rate of the stabilization,
+    the time, then the laws of drives: values and both derivatives at t = 0, values after the step."""
     head = torch.cat([h.new_zeros(2), h[None], h.new_tensor([rate, 0.0])])
     return in_blocks(torch.cat([head, *(x.flatten() for x in (*jets, *ends))]).detach())
 
@@ -118,12 +108,15 @@ class _Start:
     numbers: Tensor
     scales: Tensor | None = None
 
-    def solve(self, data: Data, q: Tensor, v: Tensor, vd: Tensor) -> Tensor | None:
-        """z [n_v + rows, columns, lanes], differentiable by states and data; None where factors cannot be relied on."""
-        lanes = max(self.dynamics.lanes, q.shape[-1])
-        state = [expanded(x, lanes) for x in (q, v, vd)]
+    def solve(self, data: Data, q: Any, v: Any, vd: Any) -> Tensor | None:
+        """z [n_v + rows, columns, lanes], differentiable by states and data; None where factors cannot be relied on.
+
+        Pairs give their values, and no derivatives.
+        """
+        lanes = max(self.dynamics.lanes, value(q).shape[-1])
+        state = [expanded(value(x), lanes) for x in (q, v, vd)]
         try:
-            return _Solution.apply(self, *state, *data.values())
+            return _Solution.apply(self, *state, *map(value, data.values()))
         except _UnreliableFactors:
             return None
 

@@ -1,7 +1,7 @@
 """Joints: lists of constraint primitives between frames. A new joint is one file and one line here."""
 
 from torchmbd.multibody.joints.cylindrical import Cylindrical
-from torchmbd.multibody.joints.distance import Distance
+from torchmbd.multibody.joints.distance_joint import DistanceJoint
 from torchmbd.multibody.joints.drive import Drive
 from torchmbd.multibody.joints.fixed import Fixed
 from torchmbd.multibody.joints.joint import Joint
@@ -18,7 +18,18 @@ from torchmbd.multibody.joints.universal import Universal
 JOINTS: dict[str, type[Joint]] = {
     kind.__name__.lower(): kind
     for kind in (
-        *(Cylindrical, Distance, Drive, Fixed, JointCoupling, Planar, PointOnCurve, PointOnPlane, Prismatic, Revolute),
+        *(
+            Cylindrical,
+            DistanceJoint,
+            Drive,
+            Fixed,
+            JointCoupling,
+            Planar,
+            PointOnCurve,
+            PointOnPlane,
+            Prismatic,
+            Revolute,
+        ),
         *(Spherical, Universal),
     )
 }
@@ -27,7 +38,7 @@ __all__ = [
     "JOINTS",
     "ConstantSpeed",
     "Cylindrical",
-    "Distance",
+    "DistanceJoint",
     "Drive",
     "Fixed",
     "Joint",

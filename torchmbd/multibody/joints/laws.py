@@ -110,15 +110,18 @@ class FiniteLaw:
         self.name, self.law = name, law
 
     def __call__(self, t: Tensor) -> Tensor:
-        return self._finite(values_at(self.law, t) if t.dim() else self.law(t), t)
+        x = values_at(self.law, t) if t.dim() else self.law(t)
+        self._require_finite(t, x)
+        return x
 
     def slopes(self, t: Tensor) -> Slopes:
         """Value, velocity and acceleration at the times t."""
         x, velocity, acceleration = slopes_at(self.law, t) if t.dim() else slopes(self.law, t)
-        return self._finite(x, t), self._finite(velocity, t), self._finite(acceleration, t)
+        self._require_finite(t, x, velocity, acceleration)
+        return x, velocity, acceleration
 
-    def _finite(self, x: Tensor, t: Tensor) -> Tensor:
-        good = torch.isfinite(x)
+    def _require_finite(self, t: Tensor, *numbers: Tensor) -> None:
+        good = torch.isfinite(torch.stack(numbers)).all(0)
         if not bool(good.all()):
             first = t[~good][0] if t.dim() else t
             raise InputError(
@@ -127,7 +130,6 @@ class FiniteLaw:
                 state=f"is not finite at t = {float(first):.6g} s",
                 noun=f"the law of {self.name!r} or a slope of it",
             )
-        return x
 
 
 def finite(name: str | Path, x: Any) -> Any:

@@ -35,14 +35,13 @@ class ParametricDrive(FiniteLaw):
     def numbers(self, times: Tensor, data: Mapping[str, Any] | None) -> Any:
         """Values [n, pair, lanes] at times [n]."""
         values = self._over_lanes(lambda p: torch.func.vmap(lambda t: self._law(p, t))(times), data)
-        self._finite(value(values).detach().sum((-2, -1)), times)
+        self._require_finite(times, value(values).detach().sum((-2, -1)))
         return values
 
     def jets(self, t: Tensor, data: Mapping[str, Any] | None) -> Jet:
         """Value, velocity and acceleration [1 + n_b, lanes] at the time t [], or of each lane at its own t [lanes]."""
         parts = self._over_lanes(lambda p, *s: torch.stack(slopes(lambda x: self._law(p, x), *(s or (t,)))), data, t)
-        for x in value(parts).detach():
-            self._finite(x[0] if t.dim() else x.sum(), t)
+        self._require_finite(t, *(x[0] if t.dim() else x.sum() for x in value(parts).detach()))
         return Jet(parts[0], parts[1], parts[2])
 
     def _law(self, flat: Tensor, t: Tensor) -> Tensor:

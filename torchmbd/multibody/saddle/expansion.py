@@ -11,7 +11,7 @@ Checked in tests/multibody/saddle/test_condensation.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -45,6 +45,11 @@ class Expansion:
         """The expansion with the present laws of the prescribed bodies, which users may change later."""
         prescribed = [(c.whole.names.index(body.name), body.motion(times)) for body in c.topology.prescribed_bodies]
         return cls(c, data, times, prescribed)
+
+    def at_end(self) -> Expansion:
+        """The expansion at the last time alone."""
+        last = [(number, tuple(x[-1:] for x in motion)) for number, motion in self.prescribed]
+        return replace(self, times=self.times[-1:], prescribed=last)
 
     def rows(self, order: int, x: Tensor, index: Sequence[int] | None = None, values: bool = True) -> Tensor:
         """Rows of q (order 0), v (1) or a (2) [times, k, pair, lanes] of the whole system, from x of the condensed one.

@@ -1,6 +1,7 @@
 """What the start moves to close joints: how far joints are open where the bodies were put, and how far each body goes.
 
-    gap      |Phi| of the rows of a joint at the given positions: those of a length [m], those of the sine of an angle [rad];
+    gap      |Phi| of a joint at the given positions, over its rows that are lengths [m] and over those that are sines of
+             angles [rad];
              of a coupling the smallest travel [m], or angle [rad], of one of its joints that closes it: |Phi| / max |c_i|
     distance of a body: the farthest way of its origin and of the points on it that joints and forces have [m]
     angle    of its rotation [rad]; with full turns if a coupling counts the angle of its joint to the ground

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import torch
@@ -267,10 +267,10 @@ class Dynamics:
         a, _ = self.accelerations(t, q, v)
         return cat([equations.coordinate_rates(T, q, v), a])
 
-    def accelerations(self, t: Tensor, q, v, solver: SaddleSolver | None = None):
+    def accelerations(self, t: Tensor, q, v, solver: SaddleSolver | None = None, known: Tensor | None = None):
         """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30).
 
-        solver   at q and t, where there is one
+        solver   at q and t, where there is one;  known: the values of both, one above the other, where they are
         """
         T = self.topology
 
@@ -278,7 +278,7 @@ class Dynamics:
             drives, alpha = T.law_jets(t, data) if T.rows else [], 1.0 / self.stabilization
             return equations.stabilized_residual(T, data, at, v, x[: T.n_v], x[T.n_v :], drives, alpha)
 
-        x = (solver or SaddleSolver(self, t, q))(residual, v)
+        x = (solver or SaddleSolver(self, t, q))(residual, v, known=known)
         return x[: T.n_v], x[T.n_v :]
 
     def unstabilized_accelerations(self, t: Tensor, q: Any, v: Any) -> tuple[Any, Any]:
@@ -307,8 +307,8 @@ class SaddleSolver:
         with torch.set_grad_enabled(torch.is_grad_enabled() and not self.inputs):
             self.factors = dynamics.saddle.factors(self.plain, self.fixed, dynamics.diagonal())
 
-    def __call__(self, residual: Callable[..., Any], *arguments: Any) -> Any:
-        """x [n_v + rows, ...] with residual(data, placement, q, *arguments, x) = 0.
+    def __call__(self, residual: Callable[..., Any], *arguments: Any, known: Tensor | None = None) -> Any:
+        """x [n_v + rows, ...] with residual(data, placement, q, *arguments, x) = 0; known: its values, where they are.
 
         The residual is linear in x, and its matrix is the saddle-point matrix. Differentiable in every mode: derivatives of x
         are solutions with the same matrix and the derivatives of the residual at fixed x.
@@ -317,43 +317,54 @@ class SaddleSolver:
         def at_zero(data: Data, at: equations.Placement, q: Tensor, *numbers: Any) -> Tensor:
             return residual(data, at, q, *numbers, q.new_zeros(self.topology.n_v + self.topology.rows, *q.shape[1:]))
 
-        return self._solution(at_zero, residual, arguments)
+        x = self._values(at_zero, arguments) if known is None else known
+        return self._with_derivatives(x, residual, arguments)
 
     def along_constraints(
-        self, change: Callable[..., tuple[Any, Any]], scales: Sequence[tuple[float, float]], of: Sequence[Any]
+        self,
+        change: Callable[..., tuple[Any, Any]],
+        scales: Sequence[tuple[float, float]],
+        of: Sequence[Any],
+        known: Tensor | None = None,
     ) -> list[Any]:
         """y [n_v, ...] along M^-1 Phi_q' with Phi_q (y - a y0) = b r, for each pair (a, b) of scales.
 
         change   y0 [n_v, ...] and r [rows, ...] as functions of data, placement, q and the numbers `of`
+        known    values of y above those of mu (M y + Phi_q' mu = 0) [n_v + rows, scales, lanes], where they are
         """
-        if isinstance(self.q, Pair):
-            return [self._along_constraints(change, pair, of) for pair in scales]
-        # All side by side, in place of tangents.
-        a, b = (torch.tensor(x, dtype=torch.float64)[:, None] for x in zip(*scales, strict=True))
-        return list(self._along_constraints(change, (a, b), of).split(1, -2))
+        T = self.topology
 
-    def _along_constraints(
-        self, change: Callable[..., tuple[Any, Any]], scales: tuple[Any, Any], of: Sequence[Any]
-    ) -> Any:
-        T, (a, b) = self.topology, scales
-
-        def at_zero(data: Data, at: equations.Placement, *numbers: Any) -> Tensor:
+        def at_zero(a: Tensor, b: Tensor, data: Data, at: equations.Placement, *numbers: Any) -> Tensor:
             y0, r = change(data, at, *numbers)
             rows = a * equations.constraint_changes(T, at, data, y0) + b * r
             return torch.cat([rows.new_zeros(T.n_v, *rows.shape[1:]), -rows])
 
-        def residual(data: Data, at: equations.Placement, q: Any, *numbers: Any) -> Any:
+        def residual(a: Any, b: Any, data: Data, at: equations.Placement, q: Any, *numbers: Any) -> Any:
             y0, r = change(data, at, q, *numbers[:-1])
             return equations.along_constraints(T, data, at, numbers[-1], a * y0, b * r)
 
-        return self._solution(at_zero, residual, of)[: T.n_v]
+        # All side by side, in place of tangents; these are found for one after the other.
+        sides = [torch.tensor(x, dtype=torch.float64)[:, None] for x in zip(*scales, strict=True)]
+        x = self._values(partial(at_zero, *sides), of) if known is None else known
+        if not isinstance(self.q, Pair):
+            return list(self._with_derivatives(x, partial(residual, *sides), of)[: T.n_v].split(1, -2))
+        each = zip(scales, x.split(1, -2), strict=True)
+        return [self._with_derivatives(x, partial(residual, *pair), of)[: T.n_v] for pair, x in each]
 
-    def _solution(self, at_zero: Callable[..., Tensor], residual: Callable[..., Any], arguments: Sequence[Any]) -> Any:
-        """As `__call__`; at_zero: the values of the residual where x is zero, as a function of its other arguments."""
-        plain, q = [y if y is None else value(y) for y in arguments], value(self.q)
-        inputs = [*self.inputs, *(y for y in plain if y is not None and is_differentiated(y))]
+    def _inputs(self, arguments: Sequence[Any]) -> list[Tensor]:
+        numbers = [value(y) for y in arguments if y is not None]
+        return [*self.inputs, *filter(is_differentiated, numbers)]
+
+    def _values(self, at_zero: Callable[..., Tensor], arguments: Sequence[Any]) -> Tensor:
+        """Values of x; at_zero: those of the residual where x is zero, as a function of its other arguments."""
+        inputs = self._inputs(arguments)
+        plain = [y if y is None else value(y) for y in (self.q, *arguments)]
         with torch.set_grad_enabled(torch.is_grad_enabled() and not inputs):
-            x = -self.factors.solve(at_zero(self.plain, self.fixed, q, *plain), inputs).detach()
+            return -self.factors.solve(at_zero(self.plain, self.fixed, *plain), inputs)
+
+    def _with_derivatives(self, x: Tensor, residual: Callable[..., Any], arguments: Sequence[Any]) -> Any:
+        """The solution whose values are x: pairs, or with a graph of torch."""
+        x, inputs = x.detach(), self._inputs(arguments)
         if not inputs and not isinstance(self.q, Pair):
             return x
         slopes = -self.factors.solve(variation(residual(self.data, self.at, self.q, *arguments, x)), inputs)

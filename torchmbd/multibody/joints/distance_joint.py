@@ -1,4 +1,4 @@
-"""Distance joint: a massless link between two points. One equation."""
+"""DistanceJoint: a massless link between two points. One equation."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Iterator
 from torchmbd.math.checked_numbers import positive
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
-from torchmbd.multibody.joints.primitive import Distance as DistancePrimitive
+from torchmbd.multibody.joints.primitive import Distance
 
 
-class Distance(Joint):
-    """`Distance(a, b, length=...)`: the points of both frames keep their distance `length` > 0 [m]. One equation.
+class DistanceJoint(Joint):
+    """`DistanceJoint(a, b, length=...)`: the points of both frames keep their distance `length` > 0 [m]. One equation.
 
     name    of the joint in reactions and messages; None: made of the kind and the bodies
 
     >>> ball = mbd.RigidBody("ball", 1.0, (0.01, 0.01, 0.01), position=(0, -0.7, 0))
-    >>> rope = mbd.Distance(mbd.Ground().at(), ball.at(), length=0.7)
+    >>> rope = mbd.DistanceJoint(mbd.Ground().at(), ball.at(), length=0.7)
     >>> mbd.System([ball], [rope]).describe().freedoms
     5
     """
@@ -26,4 +26,4 @@ class Distance(Joint):
         self.length = positive((self.name, "length"), length, "m")
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
-        yield Equation(DistancePrimitive, (attachments.point(self.a), attachments.point(self.b)), self.length)
+        yield Equation(Distance, (attachments.point(self.a), attachments.point(self.b)), self.length)
