@@ -43,9 +43,11 @@ class Columns:
             number = "" if label == parameter or parameter in scalars else f"_{int(label[len(parameter) + 1 : -1]) + 1}"
             unit = units.get(parameter, "none")
             names.append(f"{words[parameter]}{number}{'' if unit == 'none' else f'_{unit}'}")
+        counts = Counter(names)
         for k, name in enumerate(names):
-            if names.count(name) > 1:  # as of x[0] beside x_1: what is left are the labels, which differ
+            if counts[name] > 1:  # as of x[0] beside x_1: what is left are the labels, which differ
                 names[k] = labels[k].replace("[", ".").removesuffix("]")
+                counts.update({name: -1, names[k]: 1})
         unit_names = tuple(units.get(parameter, "none") for parameter in owners)
         return cls(tuple(labels), tuple(names), unit_names, np.array([UNITS[unit] for unit in unit_names]))
 
