@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import nn
 
+import torchmbd as mbd
 from tests.refused import refused
 from torchmbd.math.gradients import carries_gradient, constant_arguments, refuse_gradients, refuse_lost_gradients
 
@@ -22,6 +23,13 @@ def test_an_argument_of_numbers_names_the_parameter_that_it_contains():
     assert f(1, y=K.detach()) is not None
     with refused("test_an_argument_of_numbers_names_the_parameter_that_it_contains.<locals>.f.y"):
         f(1, {"a": [K]})
+
+
+def test_a_list_of_variables_has_one_parameter_as_its_remedy():
+    walls = [mbd.variable(1e-3), 2e-3]
+    remedy = "torch.nn.Parameter(torch.tensor([0.001, 0.002], dtype=torch.float64))"
+    with refused("tube.thickness", walls, remedy):
+        mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([0, 90]), thickness=walls)
 
 
 def test_what_torch_func_differentiates_is_seen_and_constants_made_inside_are_not():

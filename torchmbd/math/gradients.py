@@ -94,6 +94,17 @@ def refuse_gradients(name: str | Path, value: Any, allowed: str = "numbers") -> 
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, _CONTAINERS):
+        if "torch.nn.Parameter" in allowed and any(isinstance(x, nn.Parameter) for x in value):
+            numbers = ", ".join(
+                f"{float(x.detach() if isinstance(x, Tensor) else x):g}" if _number(x) else "..." for x in value
+            )
+            raise InputError(
+                name,
+                value,
+                "one parameter that holds all of them",
+                f"torch.nn.Parameter(torch.tensor([{numbers}], dtype=torch.float64))",
+                state="is a list that contains parameters",
+            )
         for x in value:
             refuse_gradients(name, x, allowed)
     elif carries_gradient(value):

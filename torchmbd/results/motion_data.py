@@ -5,7 +5,7 @@ Checked in tests/integrate/test_simulate.py, tests/integrate/test_motion.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Self, TypeVar
@@ -17,6 +17,7 @@ from torchmbd.errors import InputError, SimulationFailure, one_of
 from torchmbd.math.gradients import all_true
 from torchmbd.math.module_call import run_with_parameters
 from torchmbd.multibody.forces.action import Action
+from torchmbd.multibody.saddle.rank import Rank
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.system import System
 from torchmbd.results.mode_shapes import Shapes, SomeLanes
@@ -165,14 +166,24 @@ class MotionData(Summary):
             ("bodies", few(T.names)),
             ("coordinates", f"{T.n_q} (q), {T.n_v} rates (v, a), {T.rows} multipliers (lam)"),
         ]
-        if self.dynamics.redundant:
-            rows.append(("over-constraint", f"rows that follow from others: {few(self.dynamics.redundant)}"))
+        redundant = list(dict.fromkeys(row for rank in self.ranks for row in rank.redundant))
+        if redundant:
+            rows.append(("over-constraint", f"rows that follow from others: {few(redundant)}"))
         return rows + [(name, self.stats[name]) for name in ("steps", "backend", "gradients") if name in self.stats]
 
     @property
     def lanes(self) -> int:
         """Number of designs."""
         return self.signals.lanes
+
+    @property
+    def ranks(self) -> Sequence[Rank]:
+        """The rank of the constraints that act in each part of the motion; none if no integrator made its states.
+
+        Rows of locks do not hold at the start of the motion, and released rows do not act together with these.
+        """
+        made = self.signals.integration if isinstance(self.signals, IntegratedSignals) else None
+        return () if made is None else made.ranks
 
     @property
     def is_single(self) -> bool:

@@ -29,7 +29,6 @@ from torchmbd.multibody.system import System
 from torchmbd.results.body_motion import BodyMotion, point_of, triad_of
 from torchmbd.results.motion_data import MotionData
 from torchmbd.results.ringing import warn_of_ringing
-from torchmbd.results.time_rows import IntegratedSignals
 from torchmbd.summary import Summary, few
 
 
@@ -74,9 +73,7 @@ def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) ->
     """Force, and torque about the points `about` [lanes, times, 3], on the body of one side, in ground axes."""
     T = motion.dynamics.topology
     acting = {joint.name, *(x.name for x in motion.system.joints if isinstance(x, Lock) and x.of == joint.name)}
-    made = motion.signals.integration if isinstance(motion.signals, IntegratedSignals) else None
-    # Rows that are released, and those of locks, do not act together: each part of a motion has a rank of its own.
-    for rank in made.ranks if made is not None else ():
+    for rank in motion.ranks:
         if acting.intersection(rank.undetermined):
             warn(
                 f"over-constraint: equilibrium does not determine all loads of joint {joint.name!r}, because "

@@ -85,6 +85,14 @@ def test_a_lock_from_the_start_holds_the_initial_position():
     assert float(motion.lam[0, :, torch.tensor(rows)].abs().min()) > 1e-3
 
 
+@pytest.mark.parametrize("hinges", [1, 2])
+def test_a_motion_is_printed_whose_lock_does_not_hold_at_the_start(hinges):
+    """The rotors turn by a radian against each other before they are locked: the rank is that of each phase."""
+    phases = [mbd.Phase(until=0.1), mbd.Phase(lock=["hinge"])]
+    motion = mbd.simulate(rotors(hinges), 0.12, steps=12, phases=phases, backend="eager").require_ok()
+    assert ("over-constraint" in repr(motion)) == (hinges == 2)
+
+
 @pytest.mark.thorough
 def test_the_frames_of_a_locked_sliding_joint_stay_where_they_are():
     """A lock of a translation, on a flexible body: the marked point moves with its node."""

@@ -100,6 +100,9 @@ def test_bad_frames_are_named():
     box = mbd.RigidBody("box", mass=1.0, inertia=(1.0, 1.0, 1.0))
     with refused("box.point"):
         box.at(0.0, math.nan, 0.0)
+    for point in ((0.1, 0.0, 0.0), torch.zeros(3)):
+        with refused("box.point", point, "Try: at(x, y, z)"):
+            box.at(point)
     with refused("axes"):
         mbd.Ground().at(axes=[[1, 1, 0], [0, 1, 0], [0, 0, 1]])
     with refused("axis", "w"):

@@ -125,9 +125,10 @@ def test_joints_with_the_same_equations_are_told():
     assert "repeated    revolute_ground_a: an earlier joint has these equations" in str(result)
 
 
-def test_a_joint_on_another_body_of_the_same_name_is_named():
-    body, other = box("a"), box("a")
-    with refused("bodies"):
+@pytest.mark.parametrize("name", ["a", "arm"])
+def test_a_joint_on_a_body_that_is_not_in_the_system_is_named(name):
+    body, other = box("a"), box(name)
+    with refused("bodies", ANY, f"hold bodies that are not in this list: {name!r}"):
         mbd.System([body], [mbd.Revolute(mbd.Ground().at(), other.at())])
 
 

@@ -154,6 +154,8 @@ def frame_at(body: Any, coordinates: Sequence[Any], axes: Sequence | Tensor | No
 def _three_numbers(name: Path, x: Any, allowed: str) -> Tensor:
     if not isinstance(x, (tuple, list, Tensor)) or len(x) != 3:
         raise InputError(name, x, allowed)
+    if name[-1] == "point" and any(isinstance(y, (tuple, list)) or (isinstance(y, Tensor) and y.dim() > 0) for y in x):
+        raise InputError(name, x[0], allowed, "at(x, y, z), or at(*point) of a tuple")
     result = read_numbers(name, [number(y) for y in x], allowed)
     if result.shape != (3,) or not bool(torch.isfinite(result).all()):
         raise InputError(name, x, allowed)

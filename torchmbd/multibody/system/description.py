@@ -18,6 +18,7 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.math.pair import value
+from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.equilibrium.equilibrium import vibrations
 from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.saddle.rank import Rank, jacobians, rank_of, rank_of_columns
@@ -143,12 +144,13 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
         )
     frames = [frame for joint in joints for frame in joint.frames] + [x for force in forces for x in force.frames]
     connected = {id(frame.body) for frame in frames}
+    parts = {id(x) for body in bodies for x in getattr(body, "node_bodies", [body])}
     apart = [body for body in bodies if not any(id(x) in connected for x in getattr(body, "node_bodies", [body]))]
     loose = [body.name for body in apart if body.name not in free]
     if joints and loose:
-        names = {frame.body.name for frame in frames}
-        others = [name for name in loose if name in names]
-        hint = f"; joints or forces hold other bodies of the names {', '.join(map(repr, others))}" if others else ""
+        others = {x.body.name for x in frames if id(x.body) not in parts and not isinstance(x.body, Ground)}
+        shown = ", ".join(map(repr, sorted(others)))
+        hint = f"; joints or forces hold bodies that are not in this list: {shown}" if others else ""
         raise InputError(
             "bodies",
             state=f"holds {', '.join(map(repr, loose))}{hint}",
