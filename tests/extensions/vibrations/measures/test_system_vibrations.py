@@ -162,7 +162,7 @@ def test_designs_without_a_state_are_statuses():
     )
     good, bad = problem.evaluate([[50.0], [-80.0]], True)
     assert good.status == "ok"
-    assert "eigenvalue 1 has no derivative: it is not a number" in bad.status
+    assert "eigenvalue 1 has no derivative, because it is not a number" in bad.status
 
 
 @pytest.mark.parametrize(
