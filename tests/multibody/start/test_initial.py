@@ -378,3 +378,65 @@ def test_a_start_is_found_anew_where_points_or_drives_have_changed():
     assert after.shared_start is not before.shared_start
     assert float((value(after.start[0]) - q).abs().max()) > 1e-3
     assert float((value(after.start[1]) - v).abs().max()) > 1e-3
+
+
+GROUND = mbd.Ground()
+
+
+def chain(size: float, place: float = 0.0) -> mbd.System:
+    """Two links between three ball joints that do not fit; one has a velocity that the joints do not allow."""
+    L, P = size, turned(0.4, -0.7, 0.3)
+    inertia = (0.1 * L**2,) * 3
+    first = mbd.RigidBody(
+        "first", 1.0, inertia, position=(0.5 * L + place, 0.02 * L, 0.0), axes=P, velocity=(L, 0.0, 0.0)
+    )
+    second = mbd.RigidBody("second", 1.0, inertia, position=(1.3 * L + place, 0.4 * L, 0.1 * L))
+    joints = [
+        mbd.Spherical(GROUND.at(0.1 * L + place, 0.0, 0.0), first.at(-0.5 * L, 0.1 * L, 0.3 * L)),
+        mbd.Spherical(first.at(0.5 * L, 0.2 * L, 0.1 * L), second.at(-0.5 * L, 0.3 * L, 0.0)),
+        mbd.Spherical(second.at(0.5 * L, 0.1 * L, 0.2 * L), GROUND.at(1.9 * L + place, 0.9 * L, 0.3 * L)),
+    ]
+    return mbd.System([first, second], joints)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("size", [1e-3, 1e3, 1e6])
+def test_closed_joints_and_rates_do_not_depend_on_the_unit_of_length(size):
+    """A rule of absolute numbers refused mechanisms of 1e6, such as 1 km in millimeters."""
+    expected, system = chain(1.0).dynamics(), chain(size).dynamics()
+    (q0, v0), (q, v) = (x.initial.solve(x) for x in (expected, system))
+    assert_close(q[:6] / size, q0[:6], rtol=0, atol=1e-11)
+    assert_close(q[6:], q0[6:], rtol=0, atol=1e-11)
+    assert_close(v[:6] / size, v0[:6], rtol=0, atol=1e-10)
+    assert_close(v[6:], v0[6:], rtol=0, atol=1e-10)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_small_mechanism_far_away_is_closed():
+    near, far = (x.initial.solve(x)[0] for x in (chain(1e-3).dynamics(), chain(1e-3, 100.0).dynamics()))
+    assert_close(
+        far[:6] - near[:6], torch.tensor([100.0, 100.0, 0, 0, 0, 0]).double()[:, None, None], rtol=0, atol=1e-9
+    )
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_the_start_of_a_design_is_that_of_a_system_built_with_its_numbers():
+    """Whatever design the model was built with, and whichever other designs a batch has: the size is the design's own."""
+
+    def linked(reach) -> mbd.System:
+        first = mbd.RigidBody("first", 1.0, (0.1,) * 3, position=(0.5, 0.02, 0.0), velocity=(1.0, 0.0, 0.0))
+        joints = [
+            mbd.Spherical(GROUND.at(0.1, 0.0, 0.0), first.at(-0.5, 0.1, 0.3)),
+            mbd.PointOnPlane(GROUND.at(1.0, 0.2, 0.1), first.at(reach, 0.4, 0.2)),
+        ]
+        return mbd.System([first], joints)
+
+    reaches = torch.tensor([0.4, 2.0, 0.9], dtype=torch.float64)
+    system = linked(mbd.variable(0.5))
+    [name] = [name for name, _ in system.named_parameters()]
+    many = system.dynamics({name: reaches})
+    q, v = many.initial.solve(many)
+    for k, reach in enumerate(reaches.tolist()):
+        alone = linked(reach).dynamics()
+        for x, y in zip((q, v), alone.initial.solve(alone), strict=True):
+            assert_close(x[..., k : k + 1], y, rtol=0, atol=1e-10)
