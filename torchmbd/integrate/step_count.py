@@ -151,10 +151,11 @@ def _late(result: IntegrationResult, h: float) -> float:
 
 
 def _warn_late(late: float, steps: int) -> None:
-    more = math.ceil(steps * (late / _PHASE) ** 0.5) if math.isfinite(late) else _UNKNOWN * steps
+    more = f"steps={math.ceil(steps * (late / _PHASE) ** 0.5) if math.isfinite(late) else _UNKNOWN * steps}"
+    other = "method='rk4', whose phase error is of the fourth order in the step, or " if math.isfinite(late) else ""
     warn(
         f"{steps} steps are the most that simulate chooses for rigid bodies, and their vibrations on springs are late: "
-        f"by {late:.1g} rad in the mean. Try: steps={more}"
+        f"by {late:.1g} rad in the mean. Try: {other}{more}"
     )
 
 
