@@ -216,7 +216,12 @@ def test_what_is_allowed_reads_after_must_be():
         ("max_tme", ["max_time", "max_iterations"], "max_time"),
         ("degrees", ["deg/s", "deg"], "deg"),
         ("STEPS", ["steps", "stop"], "steps"),
+        ("l0", ["lo", "eth0"], "lo"),
     ],
 )
 def test_the_nearest_name_is_one_that_begins_so(name, allowed, meant):
     assert nearest(name, allowed) == repr(meant)
+
+
+def test_a_name_that_shares_letters_alone_is_not_proposed():
+    assert nearest("weigh", ["model", "design", "simulate"]) == ""

@@ -172,7 +172,8 @@ class DesignFailure(InputError, SimulationFailure):
     """
 
 
-_NEAR = 0.6  # least likeness of a name that a hint tells: bop and bob have 0.67; weigh and design, 0.55, share letters alone
+_NEAR = 0.6  # least likeness of a name that a hint tells, as bop and bob; weigh and design have 0.55
+_NEAR_BEGUN = 0.5  # the same of two names that begin with the same letter, as l0 and lo
 _MISSPELT = (
     0.8  # likeness from which on a name is another with an error, as left_edgy; below, a longer word for it may be
 )
@@ -205,13 +206,23 @@ def _closest(name: str, options: list[str]) -> str | None:
     begun = [option for option in options if len(name) > 2 and _letters(option).startswith(_letters(name))]
     if len(begun) == 1:  # maxiter: max_iterations, not max_time
         return begun[0]
-    close = difflib.get_close_matches(name, options, n=3, cutoff=_NEAR)
+    close = _alike(name, options)
     if close and difflib.SequenceMatcher(None, name, close[0]).ratio() < _MISSPELT:
         close.sort(key=lambda option: len(option) < 3 or not name.startswith(option))  # degrees: deg, not deg/s
     if not close:  # a name in capitals is near to the same in small letters
         small = {option.lower(): option for option in reversed(options)}
-        close = [small[x] for x in difflib.get_close_matches(name.lower(), small, n=1, cutoff=_NEAR)]
+        close = [small[x] for x in _alike(name.lower(), list(small))]
     return close[0] if close else None
+
+
+def _alike(name: str, options: list[str]) -> list[str]:
+    """Return up to three options that are near to a name, the nearest first."""
+    begun = [option for option in options if option[:1] == name[:1]]
+    close = {
+        *difflib.get_close_matches(name, options, 3, _NEAR),
+        *difflib.get_close_matches(name, begun, 3, _NEAR_BEGUN),
+    }
+    return difflib.get_close_matches(name, [option for option in options if option in close], 3, _NEAR_BEGUN)
 
 
 def _letters(name: str) -> str:

@@ -80,7 +80,10 @@ CASES = [
     Case("fixed", 6, lambda x: (ZERO, ONE)),
     Case("spherical", 3, lambda x: (ZERO, turned(*x.tolist()))),
     Case(
-        "distance", 1, lambda x: (turned(*x.tolist()) @ START - START, turned(*x.flip(0).tolist())), {"length": LENGTH}
+        "distancejoint",
+        1,
+        lambda x: (turned(*x.tolist()) @ START - START, turned(*x.flip(0).tolist())),
+        {"length": LENGTH},
     ),
 ]
 for axis in "xyz":
@@ -148,7 +151,7 @@ def joined(case: Case, pair: str) -> Joined:
         pose_a = (ZERO, ONE)
     if isinstance(b, mbd.Ground):
         pose_b = (ZERO, ONE)
-    gap = START if case.kind == "distance" else ZERO
+    gap = START if case.kind == "distancejoint" else ZERO
     if isinstance(b, mbd.Ground):
         r = frame_b.point - pose_a[1] @ (frame_a.point + frame_a.axes @ gap)
         pose_a = (r, pose_a[1])
