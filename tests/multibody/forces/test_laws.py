@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -61,7 +62,7 @@ def test_bad_laws_are_named(make, said):
 
 def test_bad_elements_are_named():
     a, b, ground = box("a"), box("b"), mbd.Ground()
-    for make, said in (
+    wrong: list[tuple[Any, tuple[Any, ...]]] = [
         (lambda: mbd.SpringDamper(a.at(), b.at()), ("springdamper_a_b", ANY, "neither law nor stiffness")),
         (lambda: mbd.SpringDamper(a.at(), a.at(), stiffness=1.0), ("b", ANY, "two different bodies")),
         (lambda: mbd.SpringDamper(a, b.at(), stiffness=1.0), ("a", ANY, "frames")),
@@ -76,7 +77,8 @@ def test_bad_elements_are_named():
             lambda: mbd.System([a], forces=[mbd.SpringDamper(a.at(), b.at(), stiffness=1.0)]),
             ("forces.springdamper_a_b", ANY, "body 'b'", "not among"),
         ),
-    ):
+    ]
+    for make, said in wrong:
         with refused(*said):
             make()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -97,7 +98,7 @@ def test_bad_pressures_are_named():
     body = plate("panel")
     box = mbd.RigidBody("box", 1.0, (1.0, 1.0, 1.0))
     assert len(mbd.Pressure(body, 1.0, direction=(3.0, -4.0, 0.0)).parts) == 2  # along two axes of one body
-    for make, said in (
+    wrong: list[tuple[Any, tuple[Any, ...]]] = [
         (lambda: mbd.Pressure(box, 1.0), ("body", ANY, "Pressure acts on")),
         (lambda: mbd.Pressure(body, float("nan")), ("pressure_panel.pressure", math.nan)),
         (lambda: mbd.Pressure(body, 1.0, direction=(0, 0, 0)), ("direction", (0, 0, 0), "not all zero")),
@@ -106,7 +107,8 @@ def test_bad_pressures_are_named():
             lambda: mbd.System([box], forces=[mbd.Pressure(body, 1.0)], free=["box"]),
             ("forces.pressure_panel", ANY, "'panel'", "not among"),
         ),
-    ):
+    ]
+    for make, said in wrong:
         with refused(*said):
             make()
 

@@ -551,7 +551,7 @@ def test_bad_changes_are_named():
     )
     exact = mbd.FlexibleBeam("hose", line, steel)
     box = mbd.RigidBody("box", 1.0, (1.0, 1.0, 1.0))
-    for make, said in (
+    wrong: list[tuple[Any, tuple[Any, ...]]] = [
         (
             lambda: mbd.Temperature(box, 1.0),
             ("body", ANY, "body of Temperature = 'box': must be a flexible body of plates or beams"),
@@ -589,7 +589,8 @@ def test_bad_changes_are_named():
             lambda: mbd.GivenSection.isotropic(E, 0.3, 7850.0, AREA, I_Y, I_Y, 2.0 * I_Y, alpha=float("inf")),
             ("alpha", math.inf),
         ),
-    ):
+    ]
+    for make, said in wrong:
         with refused(*said):
             make()
 
