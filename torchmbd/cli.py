@@ -185,7 +185,10 @@ def list_(folder: Path | None = None, *, uri: Uri = None) -> int:
 
     if folder is not None and not folder.is_dir():
         raise InputError(
-            "folder", str(folder), "a folder that exists", hint="no folder, which lists configs or the present folder"
+            "folder",
+            str(folder),
+            "a folder that exists",
+            hint="`torchmbd list` without a folder, which lists the folder configs or this folder",
         )
     console = Console()
     print_configs(folder or (path if (path := Path("configs")).is_dir() else Path()), console)

@@ -118,5 +118,5 @@ def test_rows_below_zero_count_as_nothing_in_a_norm(motion):
 
 def test_a_norm_of_rows_that_are_all_below_zero_is_refused(motion):
     """It would be zero without a gradient."""
-    with pytest.raises(mbd.DesignFailure, match="no positive row in design 1"):
+    with refused("kind", "p_norm", "design 1", "positive", kind=mbd.DesignFailure):
         mbd.Aggregate([mbd.Max(LAG) - 1.0, mbd.Min(LAG) - 1.0], "p_norm", 2.0)(motion)

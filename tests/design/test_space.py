@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -11,9 +12,8 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import laminate, plate, rigid_pendulum
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.design import DesignSpace
-from torchmbd.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -53,43 +53,56 @@ def test_bounds_and_start_one_for_each(system):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "said"),
     [
         (
             {"variables": ["two.laminate.angle"]},
-            ["parameter = 'two.laminate.angle'", "Try: 'two.laminate.angles'"],
+            (
+                "variables.two.laminate.angle",
+                "two.laminate.angle",
+                "parameter = 'two.laminate.angle'",
+                "Try: 'two.laminate.angles'",
+            ),
         ),
-        ({"bounds": (0.0, 1.0, 2.0)}, ["bounds = (0.0, 1.0, 2.0)", "two entries, (lower, upper)"]),
-        ({"bounds": 1.0}, ["bounds = 1.0", "(lower, upper)"]),
-        ({"bounds": ([0.0] * 4, 1.0)}, ["lower bound has 4 values", "must have 5, or one number for all"]),
+        ({"bounds": (0.0, 1.0, 2.0)}, ("bounds", (0.0, 1.0, 2.0))),
+        ({"bounds": 1.0}, ("bounds", 1.0)),
+        (
+            {"bounds": ([0.0] * 4, 1.0)},
+            ("lower", [0.0, 0.0, 0.0, 0.0], "lower bound has 4 values", "must have 5, or one number for all"),
+        ),
         (
             {"bounds": (1.0, -1.0)},
-            ["lower bound of one.laminate.angles[0]", "= 1 rad (57.2958 deg)", "must be below upper = -1 rad"],
+            (
+                "lower.one.laminate.angles[0]",
+                ANY,
+                "lower bound of one.laminate.angles[0]",
+                "= 1 rad (57.2958 deg)",
+                "must be below upper = -1 rad",
+            ),
         ),
-        ({"bounds": (np.nan, 1.0)}, ["lower", "nan", "numbers"]),
+        ({"bounds": (np.nan, 1.0)}, ("lower", math.nan)),
         (
             {"bounds": (0.5, 2.0)},
-            [
+            (
+                "start.one.laminate.angles[0]",
+                ANY,
                 "start of one.laminate.angles[0]",
                 "(20 deg)",
                 "must lie between 0.5 rad (28.6479 deg) and 2 rad (114.592 deg)",
-            ],
+            ),
         ),
-        ({"start": [0.0, 1.0]}, ["start has 2 values", "must have 5, or one number for all"]),
-        ({"start": [np.nan] * 5}, ["start", "nan", "numbers"]),
-        ({"bounds": ("low", 1.0)}, ["lower bound = 'low'", "numbers"]),
-        ({"bounds": ([0.0, "b", 0.0, 0.0, 0.0], 1.0)}, ["lower bound = ", "'b'", "numbers"]),
-        ({"variables": ["two.laminate.angles"] * 2}, ["variables = ", "each parameter once"]),
-        ({"variables": "two.laminate.angles"}, ["variables = 'two.laminate.angles'", "a list of names"]),
+        ({"start": [0.0, 1.0]}, ("start", [0.0, 1.0], "start has 2 values", "must have 5, or one number for all")),
+        ({"start": [np.nan] * 5}, ("start", ANY, "nan")),
+        ({"bounds": ("low", 1.0)}, ("lower", "low", "lower bound = 'low'")),
+        ({"bounds": ([0.0, "b", 0.0, 0.0, 0.0], 1.0)}, ("lower", [0.0, "b", 0.0, 0.0, 0.0], "lower bound = ")),
+        ({"variables": ["two.laminate.angles"] * 2}, ("variables", ["two.laminate.angles", "two.laminate.angles"])),
+        ({"variables": "two.laminate.angles"}, ("variables", "two.laminate.angles")),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )
-def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words, system):
-    with pytest.raises(InputError) as error:
+def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, said, system):
+    with refused(*said):
         DesignSpace(system, **given)
-    for word in words:
-        assert word in str(error.value)
-    assert "must" in str(error.value)
 
 
 def test_a_system_without_parameters_has_no_designs():

@@ -225,7 +225,7 @@ def test_tolerances_are_verified_at_the_nominal_design() -> None:
 def test_a_method_without_an_estimate_is_not_verified() -> None:
     problem = vibrating(20, method="rk4")
     result = verification(problem, np.array([1.1]), 0.0)
-    assert "method of errors by steps = 'rk4'" in result.status
+    assert "= 'rk4': must be generalized_alpha" in result.status
     assert not result.verified
 
 

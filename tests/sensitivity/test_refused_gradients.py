@@ -13,7 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import CARBON, box, laminate, plate, tensor
-from tests.refused import refused
+from tests.refused import ANY, refused
 
 GROUND = mbd.Ground()
 STEEL = mbd.Ply.isotropic(2.1e11, 0.3, 7850.0)
@@ -145,7 +145,7 @@ def test_constants_of_a_system_are_refused_as_parameters(name):
     given = getattr(owner, own)
     delattr(owner, own)
     setattr(owner, own, nn.Parameter(given))
-    with pytest.raises(mbd.InputError, match=f"'{name}' requires a gradient, but is a constant"):
+    with refused(name, ANY, "requires a gradient", "constant"):
         mbd.simulate(system, 0.01, steps=4, gradients="forward", variables=[name])
 
 

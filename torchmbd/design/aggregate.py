@@ -86,10 +86,10 @@ class Aggregate(Measure):
             raise DesignFailure(
                 "kind",
                 self.kind,
-                "must have a positive row",
+                "must have at least one positive row",
                 noun="Aggregate(kind='p_norm')",
-                state=f"has no positive row in design {lane + 1}",
-                hint="kind='ks' with a scale, which takes other rows",
+                state=f"has rows of design {lane + 1} that are all zero or negative",
+                hint="kind='ks' with scale=..., which also takes negative rows",
             )
         # Logarithms avoid overflow of powers.
         return torch.exp(torch.logsumexp(rho * rows.clamp_min(torch.finfo(rows.dtype).tiny).log(), 1) / rho)

@@ -30,7 +30,7 @@ def flexible_bodies(argument: str, design: Any) -> list[FlexibleBody]:
     system = design if isinstance(design, System) else _system_of(argument, design)
     bodies = [body for body in system.bodies if isinstance(body, FlexibleBody)]
     if not bodies:
-        raise InputError(argument, design, "must have a flexible body", shown="a system without one")
+        raise InputError(argument, design, "must have a flexible body", state="has rigid bodies alone")
     return bodies
 
 
@@ -38,14 +38,14 @@ def _system_of(argument: str, result: Any) -> System:
     """Return a copy of the system of a result, whose parameters are those of its best design."""
     if isinstance(result, MultistartResult):
         if result.best is None:
-            raise InputError(argument, result, "must have a feasible design", shown="a multistart without one")
+            raise InputError(argument, result, "must have a feasible design", state="is a multistart that found none")
         result = result.best
     problem, x = getattr(result, "problem", None), getattr(result, "x", None)
     while not isinstance(getattr(problem, "space", None), DesignSpace) and hasattr(problem, "problem"):
         problem = getattr(problem, "problem", None)  # of a RobustProblem
     space, system = getattr(problem, "space", None), getattr(problem, "system", None)
     if not isinstance(space, DesignSpace) or not isinstance(system, System) or not isinstance(x, np.ndarray):
-        raise InputError(argument, result, ALLOWED, shown=f"a {type(result).__name__}")
+        raise InputError(argument, result, ALLOWED, state=f"is a {type(result).__name__}")
     system = copy.deepcopy(system)
     with torch.no_grad():
         for name, values in space.designs(x[None, : len(space.names)]).items():

@@ -90,9 +90,9 @@ def _require_history(measure: Measure, history: object) -> None:
         raise InputError(
             ("history", "wrapped"),
             True,
-            "of the continuous angle",
-            state="jumps between the samples",
-            noun=f"{name} of an angle with wrapped=True",
+            "False",
+            state="is True, and a wrapped angle jumps between two times",
+            noun=f"wrapped of the angle in {name}",
             hint="wrapped=False",
         )
 

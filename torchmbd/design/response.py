@@ -439,7 +439,8 @@ class Constraint(ConstantArguments):
         raise InputError(
             "constraint",
             self,
-            "written as two constraints",
+            "written with one <= or >=",
             noun="a constraint",
-            state="has no truth value, which a chain such as 1 <= Max(...) <= 2 needs",
+            state="is used as True or False, as Python does in a chain 1 <= Max(...) <= 2",
+            hint="two constraints: Max(...) >= 1, Max(...) <= 2",
         )

@@ -88,6 +88,6 @@ class WeightedSum(Total):
                 "normalize",
                 "initial",
                 "used in a Problem, or after at_start(motion of the initial design)",
-                state="is 'initial', but a motion does not contain the initial design",
+                state="is 'initial', but this measure does not know the initial design",
             )
         return [(w / float(s), m) for (w, m), s in zip(self.terms, self.normalize, strict=True)]

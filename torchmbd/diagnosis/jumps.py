@@ -157,9 +157,8 @@ def refuse_jumps(system: Any, duration: float, phases: Sequence[Phase]) -> None:
         if times:
             raise InputError(
                 "duration",
-                allowed="a law that does not jump, or a duration without a gradient",
-                state=f"jumps at {_shown(times)}",
-                noun=f"duration requires a gradient, and the law of {name!r}",
+                allowed="given without a gradient, or with a law that does not jump",
+                state=f"cannot be differentiated, because the law of {name!r} jumps at {_shown(times)}",
             )
 
 

@@ -79,7 +79,7 @@ class Repetition:
             "method",
             self.integrator.name,
             f"generalized_alpha, hht_alpha, or an adaptive method ({', '.join(sorted(ADAPTIVE))})",
-            noun="method of errors by steps",
+            noun="method of a motion whose errors by steps are estimated",
         )
 
     @property
@@ -205,8 +205,8 @@ def _with_other_modes(
         raise InputError(
             "start",
             start,
-            "must have modal coordinates of zero",
-            state=f"is 'equilibrium', and bodies have {', '.join(map(repr, numbers))}",
+            "used with modal coordinates of zero",
+            state=f"is 'equilibrium', but bodies have the initial values {', '.join(map(repr, numbers))}",
         )
     return start if isinstance(start, str) and not numbers else numbers, designs
 

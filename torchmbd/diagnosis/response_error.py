@@ -107,9 +107,9 @@ def _by_steps(
         raise InputError(
             "response",
             response,
-            allowed="must have numbers that do not change with the steps, such as mbd.Max(...) of a history",
+            allowed="must return as many numbers for every number of steps, such as mbd.Max(...) of a history",
             noun=f"response {response!r}",
-            state=f"has numbers {list(value.shape)}, with finer steps {list(finer.shape)}",
+            state=f"returns a shape {list(value.shape)}, and with smaller steps {list(finer.shape)}",
         )
     by_half = _remainder(again, half, order)
     first, rounding = finer - value, _ROUNDING * value.abs().maximum(finer.abs())

@@ -109,7 +109,7 @@ def refuse_gradients(name: str | Path, value: Any, allowed: str = "numbers") -> 
             refuse_gradients(name, x, allowed)
     elif carries_gradient(value):
         shown = " ".join(repr(value).split())
-        state = f"carries a gradient, which would be lost here: {shown}"
+        state = f"requires a gradient, which torchmbd cannot use here: {shown}"
         raise InputError(name, value, f"{allowed}, or x.detach()", state=state)
 
 
@@ -117,7 +117,9 @@ def refuse_derivatives(name: str | Path, x: Tensor, instead: str) -> None:
     """InputError if x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
     if is_differentiated(x):
         raise InputError(
-            name, state="is being differentiated, which would be lost here", hint=f"x.detach(), and {instead}"
+            name,
+            state="is being differentiated, but the gradient would be lost here",
+            hint=f"x.detach(), and {instead}",
         )
 
 
@@ -174,7 +176,7 @@ def refuse_lost_gradients(name: str | Path, result: Any, allowed: str, known: It
         raise InputError(
             name,
             allowed=f"{allowed}, such as x.detach() if x does not vary",
-            state=f"reads a tensor that requires a gradient, which would be lost here: {shown}",
+            state=f"reads a tensor that requires a gradient, but torchmbd does not know this tensor: {shown}",
         )
 
 

@@ -66,9 +66,9 @@ class Pattern:
             raise InputError(
                 ("rows", k),
                 noun=f"coordinate {k} {entry}",
-                allowed="after the entry before it",
-                hint="Pattern.gather, which sorts",
-                state="repeats or precedes the entry before it",
+                allowed="in ascending order, each once",
+                hint="Pattern.gather, which sorts the entries",
+                state="repeats the entry before it, or belongs before it",
             )
         self._set(torch.nn.functional.pad(torch.bincount(i, minlength=size).cumsum(0), (1, 0)), j, size)
         mirror = self.transposed

@@ -123,9 +123,8 @@ class Search:
             raise InputError(
                 "method",
                 method,
-                noun=f"method = {method!r}",
-                allowed="used with inequalities alone",
-                state=f"does not take constraints {self.equalities.tolist()}, which are equalities",
+                allowed="a method that takes equalities",
+                state=f"= {method!r} takes inequalities alone, but constraints {self.equalities.tolist()} are equalities",
                 hint="method='slsqp', or two opposite inequalities with a tolerance for each",
             )
 

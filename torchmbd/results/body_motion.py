@@ -271,7 +271,7 @@ def _frame(view: BodyMotion, where: Where) -> Frame | None:
     """The frame of a point of a body, None for its origin."""
     body = view.motion.system.body(view.name)
     if isinstance(where, Frame) and where.body.name != view.name:
-        raise InputError("frame", allowed=f"a frame on {view.name!r}", state=f"is on {where.body.name!r}")
+        raise InputError("frame", allowed=f"a frame on {view.name!r}", state=f"is on another body, {where.body.name!r}")
     if where is None or isinstance(where, Frame):
         return where
     if view.mesh is not None:

@@ -72,9 +72,9 @@ def energies(motion: MotionData, lanes: Sequence[int] | None = None) -> Energies
     if has_lane_times(motion) and len(motion.status) != motion.lanes:
         raise InputError(
             "motion",
-            noun="energies of lanes with phases or smaller steps of their own",
-            state="cannot be computed in torch.func.vmap",
-            hint="designs [lanes, ...] in one simulate",
+            noun="energies",
+            state="cannot be computed in torch.func.vmap if the designs have different times of steps or phases",
+            hint="one simulate of all designs [lanes, ...], without vmap",
         )
     remade = has_checkpoints(motion)
     if remade and in_transform(motion.q):
@@ -87,9 +87,9 @@ def energies(motion: MotionData, lanes: Sequence[int] | None = None) -> Energies
 def _refusal() -> InputError:
     return InputError(
         "checkpoint",
-        noun="energies of a motion with checkpoint=",
-        state="are being differentiated, but the states that are not kept are computed again without a gradient",
-        hint="checkpoint=1, or energies outside of gradients and torch.func",
+        noun="energies",
+        state="have no gradient if simulate has a checkpoint above 1, because it keeps only some of the states",
+        hint="simulate(..., checkpoint=1), or energies(motion) under torch.no_grad()",
     )
 
 

@@ -83,19 +83,19 @@ def checked_uri(uri: str | StoreURI, name: str = "uri") -> StoreURI:
     if not isinstance(uri, (str, StoreURI)):
         raise InputError(name, uri, "a store such as sqlite:///mlflow.db")
     checked = StoreURI(uri)
-    if fault := uri_fault(checked):
-        raise InputError(name, checked, fault)
+    if refusal := uri_fault(checked):
+        raise InputError(name, checked, *refusal)
     return checked
 
 
-def uri_fault(uri: StoreURI) -> str | None:
-    """Return why a URI is not a store, None if it may be one."""
+def uri_fault(uri: StoreURI) -> tuple[str, str] | None:
+    """Return what is allowed in place of a URI that is not a store, and a remedy; None if it may be one."""
     scheme, separator, place = uri.whole.partition("://")
     if not separator or scheme.partition("+")[0] not in SCHEMES or (scheme == "sqlite" and place[:1] != "/"):
-        return f"must be a store of {', '.join(f'{name}:' for name in SCHEMES)}, such as sqlite:///mlflow.db"
+        return f"a store of {', '.join(f'{name}:' for name in SCHEMES)}, such as sqlite:///mlflow.db", ""
     file = uri.file
     if file and any(c in str(file) for c in _MISREAD):
-        return f"must be a path without {' and '.join(_MISREAD)}, which MLflow misreads. Try: MLFLOW_TRACKING_URI"
+        return f"a path without {' and '.join(_MISREAD)}, which MLflow misreads", "MLFLOW_TRACKING_URI"
     return None
 
 

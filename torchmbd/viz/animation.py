@@ -104,8 +104,8 @@ def require_lane(motion: Any, lane: int) -> None:
             "lane",
             lane,
             noun=f"lane {lane}",
-            allowed="a lane with a motion",
-            state=f"has none to show, because it {motion.status[lane]}",
+            allowed="a lane whose motion could be computed",
+            state=f"has no motion to show, because it {motion.status[lane]}",
         )
 
 
@@ -276,7 +276,7 @@ def _packed(x: np.ndarray) -> str:
         raise InputError(
             "motion",
             hint="motion.status, which says why a lane failed",
-            noun="motion:",
-            allowed="must contain finite numbers only",
+            state="has numbers that are not finite",
+            allowed="finite to be shown",
         )
     return base64.b64encode(np.ascontiguousarray(x, dtype="<f4").tobytes()).decode("ascii")

@@ -57,8 +57,8 @@ def film(
         raise InputError(
             "seconds",
             seconds,
-            "must have two frames or more",
-            state=f"is {seconds}, at {frames_per_second} frames per second",
+            "must give at least two frames",
+            state=f"= {seconds} at {frames_per_second} frames per second gives {count}",
         )
     t = motion.t.detach().numpy()
     frames = np.interp(np.linspace(t[0], t[-1], count), t, np.arange(len(t))).round().astype(int)  # nearest times

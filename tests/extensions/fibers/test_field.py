@@ -153,11 +153,11 @@ REFUSED = {
     ),
     "other mesh": (
         lambda: Plates(mbd.mesh.rectangle(0.4, 0.1, cells=(8, 4)), steered(mbd.fibers.FiberField(MESH, (3, 3)))),
-        "must be for the mesh of the body",
+        "must be made with the mesh of the body",
     ),
     "other cells": (
         lambda: Plates(MESH, steered(mbd.fibers.FiberField(MESH, (3, 3), cells=range(16)))),
-        "is for 16 cells",
+        "was made for 16 other cells",
     ),
     "parameter": (
         lambda: mbd.fibers.SteeredLaminate(PLY, torch.nn.Parameter(ANGLES), 1e-3, mbd.fibers.FiberField(MESH, (3, 3))),

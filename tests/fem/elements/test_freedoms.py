@@ -71,12 +71,12 @@ def test_reduced_values_are_those_of_the_product(held, links):
     ("held", "links", "words"),
     [
         ((), (RigidLink(0, 99),), ["99", "0 to 11"]),
-        ((), (RigidLink(0, 5), RigidLink(0, 6)), ["node 0", "2 links"]),
-        ((), (RigidLink(0, 5, (0, 1)), Combination(0, 1, ((7, 2, 1.0),))), ["components [1] of node 0", "2 links"]),
+        ((), (RigidLink(0, 5), RigidLink(0, 6)), ["node 0", "two links"]),
+        ((), (RigidLink(0, 5, (0, 1)), Combination(0, 1, ((7, 2, 1.0),))), ["components [1] of node 0", "two links"]),
         ((), (RigidLink(0, 5, (0, 6)),), ["components", "(0, 6)", "0 to 5"]),
         ((), (Combination(0, 0, ((7, 1, 1.0),)), Combination(7, 1, ((0, 0, 1.0),))), ["node", "circle"]),
         ((0,), (RigidLink(0, 5),), ["node 0", "must not be held"]),
-        ((), (RigidLink(0, 5), RigidLink(5, 0)), ["follows by links", "circle", "must follow by links that end"]),
+        ((), (RigidLink(0, 5), RigidLink(5, 0)), ["node", "circle", "must follow nodes that do not follow it"]),
         ((), (Average(0, (1, 2), (1.0, 1.0)),), ["average at node 0", "one line"]),
     ],
 )

@@ -10,8 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import laminate, plate
-from tests.refused import refused
-from torchmbd.errors import InputError
+from tests.refused import ANY, refused
 
 
 @pytest.mark.parametrize("reference", [None, "corner_left_top", "left_edge", 7, [3, 8]])
@@ -77,32 +76,29 @@ def test_bodies_that_share_a_laminate_share_its_angles():
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "said"),
     [
-        ({"name": ""}, ["name of the flexible body", "''"]),
-        ({"modes": 0}, ["rod.modes", "0", "1 to 84"]),
-        ({"modes": 2.0}, ["rod.modes", "2.0", "1 to 84"]),
-        ({"modes": 85}, ["rod.modes", "85", "1 to 84"]),
-        ({"damping": -1.0}, ["rod.damping", "-1.0", "zero or positive"]),
-        ({"damping": math.nan}, ["rod.damping", "nan", "zero or positive"]),
-        ({"position": (0, 0, math.nan)}, ["rod.position", "nan", "three finite numbers"]),
-        ({"axes": [[1, 0, 0], [0, 2, 0], [0, 0, 1]]}, ["rod.axes", "orthonormal"]),
-        ({"reference": "lft"}, ["'lft'", "left", "Try: 'left'"]),
-        ({"reference": 15}, ["15", "0 to 14"]),
-        ({"reference": [1.5]}, ["1.5", "0 to 14"]),
-        ({"reference": []}, ["reference = []", "at least one node"]),
-        ({"rigid": 3}, ["rigid = 3", "a list of node sets"]),
-        ({"rigid": "left_edge"}, ["rigid = 'left_edge'", "a list of node sets"]),
-        ({"updated": "no"}, ["rod.updated", "'no'", "True or False"]),
+        ({"name": ""}, ("name", "", "name of the flexible body")),
+        ({"modes": 0}, ("rod.modes", 0, "1 to 84")),
+        ({"modes": 2.0}, ("rod.modes", 2.0, "1 to 84")),
+        ({"modes": 85}, ("rod.modes", 85, "1 to 84")),
+        ({"damping": -1.0}, ("rod.damping", -1.0)),
+        ({"damping": math.nan}, ("rod.damping", math.nan)),
+        ({"position": (0, 0, math.nan)}, ("rod.position", ANY, "nan")),
+        ({"axes": [[1, 0, 0], [0, 2, 0], [0, 0, 1]]}, ("rod.axes", ANY, "orthonormal")),
+        ({"reference": "lft"}, ("node", "lft", "left", "Try: 'left'")),
+        ({"reference": 15}, ("node", 15, "0 to 14")),
+        ({"reference": [1.5]}, ("node", 1.5, "0 to 14")),
+        ({"reference": []}, ("reference", [])),
+        ({"rigid": 3}, ("rigid", 3)),
+        ({"rigid": "left_edge"}, ("rigid", "left_edge")),
+        ({"updated": "no"}, ("rod.updated", "no")),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )
-def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words):
-    with pytest.raises(InputError) as error:
+def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, said):
+    with refused(*said):
         plate(**({"name": "rod"} | given))
-    for word in words:
-        assert word in str(error.value)
-    assert error.value.allowed or error.value.hint
 
 
 def test_a_node_that_does_not_exist_is_named():

@@ -10,8 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import cross_matrix, tensor, turned
-from tests.refused import refused
-from torchmbd.errors import InputError
+from tests.refused import ANY, refused
 
 
 def test_invariants_are_the_moments_of_a_cloud_of_points():
@@ -65,35 +64,35 @@ def test_places_and_gravity_are_saved_with_the_module():
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "said"),
     [
-        ({"name": "two words"}, ["name of the rigid body", "'two words'", "identifier"]),
-        ({"mass": 0.0}, ["box.mass", "0.0 kg", "positive"]),
-        ({"mass": "1.0"}, ["box.mass", "'1.0'", "positive"]),
-        ({"inertia": "round"}, ["box.inertia", "'round'", "three numbers"]),
-        ({"position": "here"}, ["box.position", "'here'", "three finite numbers"]),
-        ({"axes": [[1, 0, 0], [0, 1]]}, ["box.axes", "[[1, 0, 0], [0, 1]]", "3 x 3"]),
-        ({"mass": math.nan}, ["box.mass", "nan", "positive"]),
-        ({"inertia": (1.0, 1.0)}, ["box.inertia", "(1.0, 1.0)", "3 x 3"]),
-        ({"inertia": (1.0, 1.0, 2.1)}, ["box.inertia", "2.1", "the sum of the other two"]),
-        ({"inertia": (-1.0, 1.0, 1.0)}, ["box.inertia", "-1.0", "must have none that is negative"]),
-        ({"inertia": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, ["box.inertia", "0.5", "symmetric"]),
-        ({"center": (0.0, math.inf, 0.0)}, ["box.center", "inf", "three finite numbers"]),
-        ({"position": (0.0, 0.0)}, ["box.position", "(0.0, 0.0)", "three finite numbers"]),
-        ({"velocity": (0.0, 0.0, math.nan)}, ["box.velocity", "nan", "three finite numbers"]),
-        ({"angular_velocity": (1.0,)}, ["box.angular_velocity", "(1.0,)", "three finite numbers"]),
-        ({"axes": torch.eye(2)}, ["box.axes", "(2, 2)", "3 x 3"]),
-        ({"axes": 2.0 * torch.eye(3)}, ["box.axes", "3.0e+00", "orthonormal"]),
-        ({"axes": -torch.eye(3)}, ["box.axes", "det A = -1", "right-handed"]),
+        ({"name": "two words"}, ("name", "two words", "name of the rigid body")),
+        ({"mass": 0.0}, ("box.mass", 0.0, "0.0 kg")),
+        ({"mass": "1.0"}, ("box.mass", "1.0")),
+        ({"inertia": "round"}, ("box.inertia", "round")),
+        ({"position": "here"}, ("box.position", "here")),
+        ({"axes": [[1, 0, 0], [0, 1]]}, ("box.axes", [[1, 0, 0], [0, 1]], "3 x 3")),
+        ({"mass": math.nan}, ("box.mass", math.nan)),
+        ({"inertia": (1.0, 1.0)}, ("box.inertia", (1.0, 1.0), "3 x 3")),
+        ({"inertia": (1.0, 1.0, 2.1)}, ("box.inertia", (1.0, 1.0, 2.1), "the sum of the other two")),
+        ({"inertia": (-1.0, 1.0, 1.0)}, ("box.inertia", (-1.0, 1.0, 1.0), "negative")),
+        (
+            {"inertia": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]},
+            ("box.inertia", [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]], "symmetric"),
+        ),
+        ({"center": (0.0, math.inf, 0.0)}, ("box.center", ANY, "inf")),
+        ({"position": (0.0, 0.0)}, ("box.position", (0.0, 0.0))),
+        ({"velocity": (0.0, 0.0, math.nan)}, ("box.velocity", ANY, "nan")),
+        ({"angular_velocity": (1.0,)}, ("box.angular_velocity", (1.0,))),
+        ({"axes": torch.eye(2)}, ("box.axes", ANY, "(2, 2)", "3 x 3")),
+        ({"axes": 2.0 * torch.eye(3)}, ("box.axes", ANY, "3.0e+00")),
+        ({"axes": -torch.eye(3)}, ("box.axes", ANY, "det A = -1")),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )
-def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words):
-    with pytest.raises(InputError) as error:
+def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, said):
+    with refused(*said):
         mbd.RigidBody(**({"name": "box", "mass": 1.0, "inertia": (1.0, 1.0, 1.0)} | given))
-    for word in words:
-        assert word in str(error.value)
-    assert error.value.allowed or error.value.hint
 
 
 def test_bad_frames_are_named():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, tensor
+from tests.refused import ANY, refused
 from torchmbd.multibody.forces import Gap, Pieces, Table
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -45,37 +47,40 @@ def test_a_stop_pushes_one_way_only():
 
 
 @pytest.mark.parametrize(
-    ("make", "words"),
+    ("make", "said"),
     [
-        (lambda: Table(((0.0, 1.0), (0.0, 2.0))), ["knots", "growing"]),
-        (lambda: Pieces((0.0,), (1.0,), (1.0, 2.0), 0.1), ["borders are 1", "1 intercepts"]),
-        (lambda: Pieces((0.0, 0.1), (1.0,) * 3, (0.0,) * 3, 0.1), ["borders", "apart"]),
-        (lambda: Gap(1.0, sign=0.5), ["sign", "0.5"]),
+        (lambda: Table(((0.0, 1.0), (0.0, 2.0))), ("knots", ((0.0, 1.0), (0.0, 2.0)), "growing")),
+        (lambda: Pieces((0.0,), (1.0,), (1.0, 2.0), 0.1), ("borders", ANY, "borders are 1", "1 intercepts")),
+        (lambda: Pieces((0.0, 0.1), (1.0,) * 3, (0.0,) * 3, 0.1), ("borders", (0.0, 0.1), "apart")),
+        (lambda: Gap(1.0, sign=0.5), ("sign", 0.5)),
     ],
 )
-def test_bad_laws_are_named(make, words):
-    with pytest.raises(mbd.InputError) as error:
+def test_bad_laws_are_named(make, said):
+    with refused(*said):
         make()
-    for word in words:
-        assert word in str(error.value)
 
 
 def test_bad_elements_are_named():
     a, b, ground = box("a"), box("b"), mbd.Ground()
-    for make, words in (
-        (lambda: mbd.SpringDamper(a.at(), b.at()), ["neither law nor stiffness"]),
-        (lambda: mbd.SpringDamper(a.at(), a.at(), stiffness=1.0), ["two different bodies"]),
-        (lambda: mbd.SpringDamper(a, b.at(), stiffness=1.0), ["must get frames"]),
-        (lambda: mbd.SpringDamper(a.at(), b.at(), law=lambda s, r, t: s / 0.0 * 0.0), ["law", "finite"]),
-        (lambda: mbd.Force(ground.at(), (1.0, 0.0, 0.0)), ["at least one frame on a body"]),
-        (lambda: mbd.Force(a.at(), (1.0, math.nan, 0.0)), ["vector", "three finite numbers"]),
-        (lambda: mbd.Torque(a.at(), (1.0, 0.0, 0.0), axes="body"), ["axes", "'ground' or 'frame'"]),
-        (lambda: mbd.System([a], forces=[mbd.SpringDamper(a.at(), b.at(), stiffness=1.0)]), ["body 'b'", "not among"]),
-    ):
-        with pytest.raises(mbd.InputError) as error:
+    wrong: list[tuple[Any, tuple[Any, ...]]] = [
+        (lambda: mbd.SpringDamper(a.at(), b.at()), ("springdamper_a_b", ANY, "neither law nor stiffness")),
+        (lambda: mbd.SpringDamper(a.at(), a.at(), stiffness=1.0), ("b", ANY, "two different bodies")),
+        (lambda: mbd.SpringDamper(a, b.at(), stiffness=1.0), ("a", ANY, "frames")),
+        (
+            lambda: mbd.SpringDamper(a.at(), b.at(), law=lambda s, r, t: s / 0.0 * 0.0),
+            ("springdamper_a_b.law", ANY, "finite"),
+        ),
+        (lambda: mbd.Force(ground.at(), (1.0, 0.0, 0.0)), ("frame", ANY, "at least one frame on a body")),
+        (lambda: mbd.Force(a.at(), (1.0, math.nan, 0.0)), ("force_a.vector", ANY, "three finite numbers")),
+        (lambda: mbd.Torque(a.at(), (1.0, 0.0, 0.0), axes="body"), ("torque_a.axes", "body", "'ground' or 'frame'")),
+        (
+            lambda: mbd.System([a], forces=[mbd.SpringDamper(a.at(), b.at(), stiffness=1.0)]),
+            ("forces.springdamper_a_b", ANY, "body 'b'", "not among"),
+        ),
+    ]
+    for make, said in wrong:
+        with refused(*said):
             make()
-        for word in words:
-            assert word in str(error.value)
 
 
 def oscillator(x, rate, k, c, m, t):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -10,6 +13,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.fem.elements.plate_cases import moved
 from tests.mechanisms import SOFT, laminate, plate, random_state, tensor, turned
+from tests.refused import ANY, refused
 from torchmbd.fem.elements.quad_shape import gauss
 from torchmbd.multibody.equations import equations
 
@@ -94,17 +98,19 @@ def test_bad_pressures_are_named():
     body = plate("panel")
     box = mbd.RigidBody("box", 1.0, (1.0, 1.0, 1.0))
     assert len(mbd.Pressure(body, 1.0, direction=(3.0, -4.0, 0.0)).parts) == 2  # along two axes of one body
-    for make, words in (
-        (lambda: mbd.Pressure(box, 1.0), ["Pressure acts on", "must act on a flexible body with triangles"]),
-        (lambda: mbd.Pressure(body, float("nan")), ["pressure_panel", "finite"]),
-        (lambda: mbd.Pressure(body, 1.0, direction=(0, 0, 0)), ["direction", "not all zero"]),
-        (lambda: mbd.Pressure(body, 1.0, direction=(0, 1)), ["direction", "three finite numbers"]),
-        (lambda: mbd.System([box], forces=[mbd.Pressure(body, 1.0)], free=["box"]), ["'panel'", "not among"]),
-    ):
-        with pytest.raises(mbd.InputError) as error:
+    wrong: list[tuple[Any, tuple[Any, ...]]] = [
+        (lambda: mbd.Pressure(box, 1.0), ("body", ANY, "Pressure acts on")),
+        (lambda: mbd.Pressure(body, float("nan")), ("pressure_panel.pressure", math.nan)),
+        (lambda: mbd.Pressure(body, 1.0, direction=(0, 0, 0)), ("direction", (0, 0, 0), "not all zero")),
+        (lambda: mbd.Pressure(body, 1.0, direction=(0, 1)), ("direction", (0, 1))),
+        (
+            lambda: mbd.System([box], forces=[mbd.Pressure(body, 1.0)], free=["box"]),
+            ("forces.pressure_panel", ANY, "'panel'", "not among"),
+        ),
+    ]
+    for make, said in wrong:
+        with refused(*said):
             make()
-        for word in words:
-            assert word in str(error.value)
 
 
 @pytest.mark.thorough

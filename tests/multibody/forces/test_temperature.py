@@ -13,7 +13,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
-from tests.refused import refused, warned
+from tests.refused import ANY, refused, warned
 from torchmbd.diagnosis.truncation import StaticTruncation, warn_static_truncation
 from torchmbd.results.ply_history import changes_of
 
@@ -551,38 +551,48 @@ def test_bad_changes_are_named():
     )
     exact = mbd.FlexibleBeam("hose", line, steel)
     box = mbd.RigidBody("box", 1.0, (1.0, 1.0, 1.0))
-    for make, words in (
+    wrong: list[tuple[Any, tuple[Any, ...]]] = [
         (
             lambda: mbd.Temperature(box, 1.0),
-            ["body of Temperature = 'box': must be a flexible body of plates or beams"],
+            ("body", ANY, "body of Temperature = 'box': must be a flexible body of plates or beams"),
         ),
-        (lambda: mbd.Temperature("p", 1.0), ["body of Temperature = 'p': must be a flexible body"]),
-        (lambda: mbd.Temperature(exact, 1.0), ["body of Temperature = 'hose'", "not an exact beam"]),
-        (lambda: mbd.Temperature(body, 1.0, zone=3), ["panel.zone = 3", "plate"]),  # pyright: ignore
-        (lambda: mbd.Temperature(body, 1.0, zone=["plate"]), ["panel.zone = ['plate']"]),  # pyright: ignore
-        (lambda: skewed(body.plates["plate"].laminate, "quad", expansion=["plate", "plate"]), ["each once"]),
-        (lambda: skewed(body.plates["plate"].laminate, "quad", expansion=[None]), ["panel.expansion"]),
-        (lambda: mbd.Temperature(cured, 1.0), ["layer 0 of the section", "no alpha1 and no alpha2"]),
-        (lambda: mbd.Temperature(body, float("nan")), ["temperature_panel.temperature", "finite"]),
-        (lambda: mbd.Temperature(body, lambda t: t / 0.0 * 0.0), ["temperature_panel", "finite"]),
-        (lambda: mbd.Temperature(body, "hot"), ["temperature_panel.temperature", "hot"]),  # pyright: ignore
-        (lambda: mbd.Temperature(body, gradient_y=2.0), ["temperature_panel.gradient_y", "gradient, moisture"]),
-        (lambda: mbd.Temperature(body, 1.0, zone="skin"), ["panel.zone", "'skin'", "plate"]),
-        (lambda: mbd.Temperature(cold, 1.0), ["part 'plate' of body 'cold'", "layer 1", "no alpha1"]),
-        (lambda: mbd.Temperature(bar(), moisture=0.1), ["part 'section0' of body 'bar'", "moisture"]),
-        (lambda: bar(steel), ["expansion of 'bar'", "section0", "alpha"]),
-        (lambda: bar(expansion=["section7"]), ["bar.zone", "section7"]),
-        (lambda: bar(expansion=3), ["bar.expansion", "True, False, or names of parts", "each once"]),
+        (lambda: mbd.Temperature("p", 1.0), ("body", "p", "body of Temperature = 'p': must be a flexible body")),
+        (lambda: mbd.Temperature(exact, 1.0), ("body", ANY, "body of Temperature = 'hose'")),
+        (lambda: mbd.Temperature(body, 1.0, zone=3), ("panel.zone", 3, "plate")),  # pyright: ignore
+        (lambda: mbd.Temperature(body, 1.0, zone=["plate"]), ("panel.zone", ["plate"])),  # pyright: ignore
+        (
+            lambda: skewed(body.plates["plate"].laminate, "quad", expansion=["plate", "plate"]),
+            ("panel.expansion", ["plate", "plate"]),
+        ),
+        (lambda: skewed(body.plates["plate"].laminate, "quad", expansion=[None]), ("panel.expansion", [None])),
+        (
+            lambda: mbd.Temperature(cured, 1.0),
+            ("cured.section0.alpha1", ANY, "layer 0 of the section", "no alpha1 and no alpha2"),
+        ),
+        (lambda: mbd.Temperature(body, float("nan")), ("temperature_panel.temperature", math.nan)),
+        (lambda: mbd.Temperature(body, lambda t: t / 0.0 * 0.0), ("temperature_panel.law", ANY, "finite")),
+        (lambda: mbd.Temperature(body, "hot"), ("temperature_panel.temperature", "hot")),  # pyright: ignore
+        (lambda: mbd.Temperature(body, gradient_y=2.0), ("temperature_panel.gradient_y", ANY, "gradient, moisture")),
+        (lambda: mbd.Temperature(body, 1.0, zone="skin"), ("panel.zone", "skin", "plate")),
+        (
+            lambda: mbd.Temperature(cold, 1.0),
+            ("cold.plate.alpha1", ANY, "part 'plate' of body 'cold'", "layer 1", "no alpha1"),
+        ),
+        (
+            lambda: mbd.Temperature(bar(), moisture=0.1),
+            ("bar.section0.coefficient of moisture expansion", ANY, "part 'section0' of body 'bar'"),
+        ),
+        (lambda: bar(steel), ("bar.expansion.bar.section0.alpha", ANY, "expansion of 'bar'")),
+        (lambda: bar(expansion=["section7"]), ("bar.zone", "section7")),
+        (lambda: bar(expansion=3), ("bar.expansion", 3)),
         (
             lambda: mbd.GivenSection.isotropic(E, 0.3, 7850.0, AREA, I_Y, I_Y, 2.0 * I_Y, alpha=float("inf")),
-            ["alpha", "inf", "finite"],
+            ("alpha", math.inf),
         ),
-    ):
-        with pytest.raises(mbd.InputError) as error:
+    ]
+    for make, said in wrong:
+        with refused(*said):
             make()
-        assert error.value.path, str(error.value)
-        for word in words:
-            assert word in str(error.value), str(error.value)
 
 
 def test_stresses_need_one_law_for_the_whole_motion():

@@ -81,7 +81,7 @@ class BucklingIndex(History):
                 str(self.body),
                 allowed="a FlexibleBody of elements",
                 noun=f"body {self.body!r}",
-                state="is a flexible beam, whose motion itself shows the buckling",
+                state="is a FlexibleBeam, whose own motion already shows if it buckles",
             )
         body = flexible_body(system, self.body)
         series, key = _SERIES.setdefault(body, {}), digest(self.supports)

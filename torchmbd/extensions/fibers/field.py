@@ -110,16 +110,16 @@ class FiberField:
         if mesh is not self.mesh:
             raise InputError(
                 "field",
-                allowed=f"for the mesh of the body, {mesh!r}",
-                state=f"is for {self.mesh!r}",
+                allowed=f"made with the mesh of the body, {mesh!r}",
+                state=f"was made with another mesh, {self.mesh!r}",
                 noun="field of a laminate",
             )
         row = torch.full((mesh.cell_count,), -1).index_copy(0, self.cells, torch.arange(len(self.cells)))[cells]
         if len(cells) != len(self.cells) or bool((row < 0).any()):
             raise InputError(
                 "field",
-                allowed=f"for the {len(cells)} cells that the laminate covers",
-                state=f"is for {len(self.cells)} cells",
+                allowed=f"made for the {len(cells)} cells of this laminate",
+                state=f"was made for {len(self.cells)} other cells",
                 noun="field of a laminate",
             )
         return row

@@ -87,7 +87,10 @@ class Experiment(Summary):
         self.settings = settings_of(system, (), "of the experiment", settings or {}, ("settings",))
         for name in (name for measurement in self.measurements for name in measurement.sets if name in self.settings):
             raise InputError(
-                "settings", settings, "must not contain loads", state=f"has {name!r}, a load that a measurement sets"
+                "settings",
+                settings,
+                "must not have measured loads",
+                state=f"has {name!r}, a load whose values a measurement gives",
             )
         self.steps = steps
 

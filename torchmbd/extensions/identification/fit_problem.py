@@ -352,8 +352,8 @@ class FitProblem:
                         raise InputError(
                             ("validation", name),
                             key,
-                            "a number, or the mbd.variable(...) of a channel of an experiment",
-                            state="is an unknown that no experiment has",
+                            "a number, or an mbd.variable(...) that an experiment of the fit also has",
+                            state="is an unknown of the validation alone, so that the fit cannot find it",
                             noun=f"{key!r} of the validation {name!r}",
                         )
                     names[name][key] = known[id(parameter)]
@@ -393,7 +393,7 @@ def _parameters_of_systems(experiments: Mapping[str, Experiment], unknowns: Sequ
         for key, x in experiments.items():
             of_system = dict(x.system.named_parameters())
             if name in x.settings:
-                state, noun = f"sets {name!r}, an unknown", f"experiment {key!r}"
+                state, noun = f"sets {name!r}, which the fit has to find", f"experiment {key!r}"
                 raise InputError(("unknowns", name), allowed="must not set unknowns", noun=noun, state=state)
             if any(name in measurement.sets for measurement in x.measurements):
                 state, allowed = f"is a measured load of experiment {key!r}", "a parameter that is not measured"

@@ -105,9 +105,11 @@ class ModalData(Measurement):
         self.sensors = [_velocity(sensor) for sensor in sensors]
         self.shapes = None if shapes is None else _numbers(shapes)
         if shapes is None and self.sensors:
-            raise InputError("sensors", sensors, "given with shapes, or left out", state="are given without shapes")
+            raise InputError(
+                "sensors", sensors, "given together with shapes, or left out", state="are given without shapes"
+            )
         if shapes is not None and modes is not None:
-            raise InputError("modes", modes, "None", state=f"is {modes!r} with shapes, which pair modes")
+            raise InputError("modes", modes, "None", state=f"is {modes!r}, but the shapes already pair the modes")
         if self.shapes is not None and self.shapes.shape != (len(self.sensors), count):
             raise InputError(
                 "shapes",
@@ -166,9 +168,10 @@ class ModalData(Measurement):
         if not kept:
             raise InputError(
                 "frequencies",
-                allowed="must have shapes that a mode of the model has",
+                allowed=f"must have at least one shape that is like a mode of the model, with a MAC of {self.least_mac:g}",
                 noun="measured modes",
-                state=f"have no partner in the model, where the largest MAC is {mac.max():.2g}",
+                state=f"are unlike all modes of the model: their largest MAC is {mac.max():.2g}",
+                hint="a start nearer to the test, the places and directions of the sensors, or a smaller least_mac",
             )
         result = object.__new__(type(self))
         vars(result).update(vars(self))

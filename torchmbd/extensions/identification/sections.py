@@ -10,7 +10,6 @@ from typing import Annotated, Any, Self
 
 from annotated_types import Len
 from pydantic import AfterValidator, Field, PositiveInt, model_validator
-from pydantic_core import PydanticCustomError
 
 from torchmbd.design.response_spec import SpecError, history_of
 from torchmbd.extensions.identification.frequency_response_data import PARTS
@@ -29,7 +28,7 @@ def _readable(spec: dict[str, Any]) -> dict[str, Any]:
     try:
         history_of(spec)
     except SpecError as error:
-        raise PydanticCustomError("response", "{text}", {"text": error.reason, "path": error.path}) from error
+        raise fault(error.reason, *error.path, kind="response") from error
     return spec
 
 
@@ -197,7 +196,7 @@ class ExperimentData(Section):
     @model_validator(mode="after")
     def _measures_something(self) -> Self:
         if not any(getattr(self, kind) is not None for kind in MEASUREMENTS):
-            raise fault(f": measures nothing: must have {' or '.join(MEASUREMENTS)}")
+            raise fault(": measures nothing", allowed=f"must have {' or '.join(MEASUREMENTS)}")
         return self
 
     @property
@@ -229,7 +228,9 @@ class Identify(Section):
     @model_validator(mode="after")
     def _different_names(self) -> Self:
         if twice := [name for name in self.validation if name in self.experiments]:
-            raise fault(f"= {twice[0]!r}: must have another name than the experiments", "validation", twice[0])
+            raise fault(
+                f"= {twice[0]!r}", "validation", twice[0], allowed="must have another name than the experiments"
+            )
         return self
 
 

@@ -61,9 +61,7 @@ def run_identification(
 ) -> int:
     """Fit the model and track it; return the exit code. Arguments as in run.run_study."""
     if workers != 1 or scheduler is not None:
-        raise InputError(
-            "workers", allowed="run without them", state="is one process", noun="workers and scheduler: a fit"
-        )
+        raise InputError("workers", workers, "left out, like scheduler, because a fit runs in one process")
     with ExitStack() as stack:
         fit = _Fit(plan, console, tracker, uri, stack, fresh)
         stack.enter_context(fit.claimed(fresh))

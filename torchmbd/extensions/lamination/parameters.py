@@ -93,7 +93,6 @@ class LaminationParameters(Laminate):
                 shear_correction,
                 "above 0 and at most 1",
                 noun="LaminationParameters: shear_correction",
-                state=f"= {shear_correction!r}",
             )
         checked = true_or_false("checked", checked)
         self.ply, self.field, self.shear_correction = ply, field, float(shear_correction)

@@ -60,10 +60,9 @@ def largest_response(states: SteadyStates, ports: Ports, row: int, order: int, b
     if is_differentiated(G) and not all_true(G != 0.0):
         raise DesignFailure(
             "output",
-            allowed="the response of an output that the input moves",
-            noun="a response that is zero",
-            state="has no derivative",
-            hint="torch.no_grad(), where a value is enough",
+            allowed="an output that the input moves",
+            state="does not respond to the input, and a response of zero has no derivative",
+            hint="torch.no_grad(), if the value is enough",
         )
     frequency = torch.tensor([w for w, _ in problem.points], dtype=torch.float64)
     return Largest(G.abs(), frequency, [where for _, where in problem.points])

@@ -90,10 +90,10 @@ class MostAlike:
         if not float(likeness[best]) > SURE:
             raise DesignFailure(
                 self.name,
-                allowed="like one vibration in every design",
-                state=f"is lost, because it has become a part of several vibrations: the one most like it "
-                f"has a likeness (MAC) of {float(likeness[best]):.2f}",
-                hint=f"follow=False, a cluster, or designs nearer to the start{where}",
+                allowed="like one vibration of every design",
+                state=f"cannot be followed{where}, because its shape has mixed with others: the most similar vibration "
+                f"has a MAC of {float(likeness[best]):.2f}",
+                hint="follow=False, a cluster, or designs nearer to the start",
             )
         return best
 

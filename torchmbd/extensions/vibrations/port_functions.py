@@ -99,10 +99,11 @@ class PortFunctions:
                     here, there = (
                         ("ground", "turning") if isinstance(observer, GroundObserver) else ("turning", "ground")
                     )
+                    turns = "turns with the machine" if here == "ground" else "is fixed in the ground across the axis"
                     raise InputError(
                         "observer",
                         here,
-                        f"must see {name} {k} in the same direction at every turn, but it "
-                        f"{('turns with the machine' if here == 'ground' else 'is one of the ground across the axis')}",
-                        hint=f"observer={there!r}, or a direction along the axis",
+                        repr(there),
+                        state=f"is {here!r}, but {name} {k} {turns}",
+                        hint="a direction along the axis of the rotation",
                     )

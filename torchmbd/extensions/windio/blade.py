@@ -112,9 +112,9 @@ class WindIOBlade:
         order    of the elements: 2, or 1, which is too stiff in shear where walls are thin
         """
         if not isinstance(position, (int, float)) or not 0.0 <= position <= 1.0:
-            raise InputError("position", position, "0 to 1, a part of the span", state=f"= {position!r}")
+            raise InputError("position", position, "0 to 1, a part of the span")
         if not is_whole(cells) or cells < 1:
-            raise InputError("cells", cells, "an integer >= 1", state=f"= {cells!r}")
+            raise InputError("cells", cells, "an integer >= 1")
         check_order(order)
         try:
             return self._section(position, cells, order)

@@ -168,9 +168,7 @@ class BeamLine:
         if not 0.0 < number(length) < float("inf"):
             raise InputError("length", length, "a finite number > 0", noun="BeamLine: length", state=f"= {length!r} m")
         if not is_whole(elements) or elements < 1:
-            raise InputError(
-                "elements", elements, "an integer >= 1", noun="BeamLine: elements", state=f"= {elements!r}"
-            )
+            raise InputError("elements", elements, "an integer >= 1", noun="BeamLine: elements")
         d = np.asarray(direction, dtype=float)
         if d.shape != (3,) or not np.isfinite(d).all() or not d.any():
             raise InputError(
@@ -178,7 +176,6 @@ class BeamLine:
                 direction,
                 "three finite numbers, not all zero",
                 noun="BeamLine: direction",
-                state=f"= {direction!r}",
             )
         unit = np.linspace(0.0, 1.0, elements + 1)[:, None] * d / np.linalg.norm(d)
         nodes: Any = Straight(length, torch.from_numpy(unit)) if is_variable(length) else unit * float(length)
@@ -203,7 +200,6 @@ class BeamLine:
                 elements,
                 "an integer >= 1, one for each half turn",
                 noun="BeamLine: elements",
-                state=f"= {elements!r}",
             )
         at = np.linspace(0.0, angle, 2 * elements + 1)
         places = radius * np.stack([np.sin(at), 1.0 - np.cos(at), 0.0 * at], axis=1)

@@ -191,19 +191,18 @@ class Isotropic:
         for name in self.positive:
             value = number(getattr(self, name))
             if not 0.0 < value < float("inf"):
-                raise InputError(name, value, "a finite number > 0", noun=f"GivenSection: {name}", state=f"= {value!r}")
+                raise InputError(name, value, "a finite number > 0", noun=f"GivenSection: {name}")
         if not -1.0 < number(self.nu) <= 0.5:
             raise InputError(
                 "nu",
                 number(self.nu),
                 "above -1 and at most 0.5",
                 noun="GivenSection: nu",
-                state=f"= {number(self.nu)!r}",
             )
         alpha = number(self.alpha)
         if alpha is not None and not (is_real(alpha) and math.isfinite(alpha)):
             allowed = "a finite number [1/K], mbd.variable(...) of one, or None"
-            raise InputError("alpha", alpha, allowed, noun="GivenSection: alpha", state=f"= {alpha!r}")
+            raise InputError("alpha", alpha, allowed, noun="GivenSection: alpha")
         numbers = without_variables(self)
         warn_unusual_material("GivenSection", {"E": numbers.E}, numbers.density, None)
         for name in ("Iyy", "Izz", "J"):
@@ -281,7 +280,7 @@ def definite_stiffness(section: BeamSection) -> Float[Tensor, "*lanes 6 6"]:
             "stiffness",
             noun="stiffness of a section",
             allowed="positive definite",
-            state=f"has deformations that do not cost energy{where}",
+            state=f"has a deformation without energy{where}",
         )
     return S
 

@@ -164,9 +164,9 @@ def _following(x: Tensor, mean: MeanMotion, bound: Tensor) -> tuple[Tensor, Tens
         raise InputError(
             "means",
             list(mean.nodes),
-            "that of nodes that are not on a line",
-            noun=f"the mean motion of nodes {list(mean.nodes)}",
-            state="needs rotations, which these nodes do not have",
+            "must not lie on a line",
+            noun=f"nodes {list(mean.nodes)} of a mean motion",
+            state="lie on a line and have no rotations, so that the rotation about this line is unknown",
         )
     scale = torch.tensor([1.0, 1.0, 1.0, size, size, size], dtype=x.dtype)
     scaled = scale[:, None] * B / scale.repeat(len(mean.nodes))
@@ -185,7 +185,7 @@ def _check_means(held: list[int], links: Sequence[Follower], means: Sequence[Mea
             if k in taken:
                 raise InputError(
                     ("means", k),
-                    allowed="free of supports and links",
+                    allowed="in one mean motion, without supports and links",
                     noun=f"node {k} of a mean motion",
                     state=taken[k],
                 )

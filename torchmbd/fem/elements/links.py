@@ -99,9 +99,9 @@ def link_entries(x: Float[Tensor, "n 3"], links: Sequence[Follower]) -> Entries:
         if len(made) > len(links):
             raise InputError(
                 ("links", int(led[~ends][0]) // 6),
-                allowed="must follow by links that end",
+                allowed="must follow nodes that do not follow it",
                 noun=f"node {int(led[~ends][0]) // 6}",
-                state="follows by links that run in a circle",
+                state="follows itself through a circle of links",
             )
         rest = (factor[~ends].numpy(), (led[~ends].numpy(), source[~ends].numpy()))
         product = scipy.sparse.coo_array(scipy.sparse.csr_array(rest, shape=size) @ step)
@@ -132,7 +132,7 @@ def check_links(n: int, held: list[int], links: Sequence[Follower]) -> None:
             raise InputError(
                 ("links", k),
                 allowed="must follow by one link",
-                state="follow by 2 links",
+                state="follow other nodes by two links",
                 noun=f"components {again} of node {k}",
             )
         taken |= {6 * k + i for i in components}
@@ -178,7 +178,7 @@ def _mean(x: Tensor, link: Average) -> list[tuple[int, Tensor]]:
             list(link.nodes),
             "must span a plane",
             noun=f"average at node {link.node}: nodes {list(link.nodes)}",
-            state="lie on one line, about which their displacements do not show a rotation",
+            state="lie on one line, so that the rotation about this line is unknown",
         )
     inverse = torch.linalg.inv(normal)
     blocks = []

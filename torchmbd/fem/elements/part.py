@@ -133,9 +133,9 @@ class GivenElements:
         """InputError: a matrix of numbers has no stress."""
         raise InputError(
             "parts",
-            allowed="that of plates and beams",
-            state="is not known",
-            noun=f"geometric stiffness of {type(self).__name__}",
+            allowed="plates or beams, for geometric stiffness",
+            state="have no stress and no geometric stiffness in torchmbd",
+            noun=f"{type(self).__name__} of a body",
         )
 
     def modules(self) -> dict[str, nn.Module]:

@@ -49,7 +49,6 @@ class IsotropicMean:
                 self.poisson,
                 "above -1 and below 1",
                 noun="IsotropicMean: poisson",
-                state=f"= {self.poisson!r}",
             )
         if not 0.0 < self.shear_length < math.inf:
             raise InputError(

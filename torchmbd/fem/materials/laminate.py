@@ -125,7 +125,7 @@ class Laminate(nn.Module):
     ) -> None:
         super().__init__()
         if not is_real(offset):
-            raise InputError("offset", offset, "a finite number [m]", noun="Laminate: offset", state=f"= {offset!r}")
+            raise InputError("offset", offset, "a finite number [m]", noun="Laminate: offset")
         self.offset = float(offset)
         self.angles = checked_angles("Laminate", angles)
         layers = self.angles.numel()

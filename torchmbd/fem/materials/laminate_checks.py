@@ -31,12 +31,12 @@ def checked_angles(owner: str, angles: Sequence[float] | Tensor) -> nn.Parameter
 
 def checked_plies(ply: Lamina | Sequence[Lamina], layers: int) -> list[Lamina]:
     if not isinstance(ply, (Lamina, Sequence)) or isinstance(ply, str):
-        raise InputError("ply", ply, "a Ply, or one Ply per layer", noun="Laminate: ply", state=f"= {ply!r}")
+        raise InputError("ply", ply, "a Ply, or one Ply per layer", noun="Laminate: ply")
     plies = [ply] * layers if isinstance(ply, Lamina) else list(ply)
     for k, p in enumerate(plies):
         if not isinstance(p, Lamina):
             noun = f"Laminate: ply[{k}]"
-            raise InputError(("ply", k), p, "a Ply, or one Ply per layer", noun=noun, state=f"= {p!r}")
+            raise InputError(("ply", k), p, "a Ply, or one Ply per layer", noun=noun)
     if len(plies) != layers:
         state = f"has {len(plies)} plies for {layers} angles"
         raise InputError("ply", ply, "must have one Ply, or one per angle", noun="Laminate", state=state)
@@ -77,6 +77,5 @@ def checked_correction(value: float | str) -> float | str:
             value,
             "above 0 and at most 1, or the word 'energy'",
             noun="Laminate: shear_correction",
-            state=f"= {value!r}",
         )
     return float(value)

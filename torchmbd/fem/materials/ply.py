@@ -115,13 +115,10 @@ class Ply(Lamina):
                 loss,
                 "zero or positive, or mbd.variable(...) of such a number",
                 noun="Ply: loss",
-                state=f"= {loss!r}",
             )
         nu12 = number(self.nu12)
         if not (is_real(nu12) and math.isfinite(nu12)):
-            raise InputError(
-                "nu12", nu12, "a finite number, or mbd.variable(...) of one", noun="Ply: nu12", state=f"= {nu12!r}"
-            )
+            raise InputError("nu12", nu12, "a finite number, or mbd.variable(...) of one", noun="Ply: nu12")
         limit = math.sqrt(number(self.E1) / number(self.E2))
         if abs(nu12) >= limit:
             raise InputError(
@@ -132,9 +129,7 @@ class Ply(Lamina):
                 state=f"= {nu12!r} makes the ply stiffness not positive definite",
             )
         if not (self.strength is None or isinstance(self.strength, Strength)):
-            raise InputError(
-                "strength", self.strength, "a Strength, or None", noun="Ply: strength", state=f"= {self.strength!r}"
-            )
+            raise InputError("strength", self.strength, "a Strength, or None", noun="Ply: strength")
         numbers = without_variables(self)
         moduli = {name: getattr(numbers, name) for name in ("E1", "E2", "G12", "G13", "G23")}
         warn_unusual_material("Ply", moduli, numbers.density, numbers.strength.Xt if numbers.strength else None)
@@ -222,7 +217,7 @@ def _check_expansion(ply: Any, names: tuple[str, ...]) -> None:
         value = number(getattr(ply, name))
         if not (value is None or (is_real(value) and math.isfinite(value))):
             allowed = "a finite number, mbd.variable(...) of one, or None"
-            raise InputError(name, value, allowed, noun=f"Ply: {name}", state=f"= {value!r}")
+            raise InputError(name, value, allowed, noun=f"Ply: {name}")
 
 
 def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
@@ -234,7 +229,6 @@ def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
             ratio,
             f"above -1 and at most {most:g}, or mbd.variable(...) of such a number",
             noun=f"{name}: nu",
-            state=f"= {ratio!r}",
         )
     if not (is_real(modulus) and 0.0 < modulus < math.inf):
         raise InputError(
@@ -242,5 +236,4 @@ def check_isotropic(name: str, E: Any, nu: Any, most: float) -> None:
             modulus,
             "a finite number > 0, or mbd.variable(...) of one",
             noun=f"{name}: E",
-            state=f"= {modulus!r}",
         )

@@ -83,7 +83,6 @@ class Strength:
                 ratio,
                 "above -1 and below 1, or mbd.variable(...) of such a number",
                 noun="Strength: interaction",
-                state=f"= {ratio!r}",
             )
 
     def numbers(self) -> Float[Tensor, "*lanes 8"]:

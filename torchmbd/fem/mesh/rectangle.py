@@ -42,7 +42,7 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     for name, value in (("length", length), ("width", width)):
         positive(name, value, "m")
     if not isinstance(cells, Sequence) or len(cells) != 2 or not all(is_whole(c) and c >= 1 for c in cells):
-        raise InputError("cells", cells, "two integers >= 1", noun="rectangle: cells", state=f"= {cells!r}")
+        raise InputError("cells", cells, "two integers >= 1", noun="rectangle: cells")
     if kind not in KINDS:
         raise unknown("kind", kind, KINDS)
     nx, ny = cells

@@ -71,7 +71,7 @@ def checked_thicknesses(thickness: float | Sequence[float] | Tensor, layers: int
             "thickness", thickness, "one number, or one per ply [m]", noun=noun, state=f"for {layers} plies"
         )
     if not (np.isfinite(t) & (t > 0)).all():
-        raise InputError("thickness", thickness, "finite numbers > 0 [m]", state=f"= {thickness!r}")
+        raise InputError("thickness", thickness, "finite numbers > 0 [m]")
     warn_unusual("thickness", float(t.max()), "m", THICKNESS)
     return t
 
@@ -83,14 +83,14 @@ def check_lengths(**lengths: float | Tensor) -> None:
 
 def check_cells(cells: Sequence[int], count: int, order: int) -> None:
     if not (isinstance(cells, Sequence) and len(cells) == count and all(is_whole(c) and c >= 1 for c in cells)):
-        raise InputError("cells", cells, f"{count} integers >= 1", state=f"= {cells!r}")
+        raise InputError("cells", cells, f"{count} integers >= 1")
     check_order(order)
 
 
 def check_order(order: int) -> None:
     """InputError unless elements are linear (1) or quadratic (2)."""
     if order not in (1, 2):
-        raise InputError("order", order, "1 (linear elements) or 2 (quadratic)", state=f"= {order!r}")
+        raise InputError("order", order, "1 (linear elements) or 2 (quadratic)")
 
 
 Plies = Lamina | Orthotropic | Sequence[Lamina | Orthotropic]

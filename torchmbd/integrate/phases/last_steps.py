@@ -94,9 +94,9 @@ def without_rate(phase: str) -> InputError:
     """The error for an event whose time has no derivative."""
     return InputError(
         ("phases", phase, "until"),
-        allowed="a function that passes zero",
+        allowed="a function that crosses zero with a rate",
         noun=f"the function of the event of phase {phase!r}",
-        state="has the rate zero where it vanishes, so the time of the event has no derivative",
+        state="has no rate at its event, so that the time of the event has no derivative",
         hint="gradients='none'",
     )
 

@@ -278,11 +278,11 @@ def _joints_named(system: System, phase: str, joints: Sequence[Joint | str], arg
 def _wrong_lock(joint: Joint, released: Sequence[Joint]) -> tuple[str, str] | None:
     """Return what is allowed in place of a lock that no system can have, and what is wrong with it."""
     if joint in released:
-        return "one of them", f"both locks and releases {joint.name!r}"
+        return "must do one of both", f"both locks and releases {joint.name!r}"
     if isinstance(joint, Drive):
-        return "release it, lock its joint", f"locks the drive {joint.name!r}"
+        return "must release it and lock its joint", f"locks the drive {joint.name!r}"
     if joint.joints:
-        return "lock one of its joints", f"locks the coupling {joint.name!r}"
+        return "must lock one of its joints", f"locks the coupling {joint.name!r}"
     return None
 
 

@@ -330,9 +330,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         if varying_nodes(self.mesh) and len(interpolation.nodes) > 1:
             raise InputError(
                 (self.name, "node"),
-                allowed="on one node",
-                state=f"is on nodes {list(interpolation.nodes)} of {self.name!r}, whose nodes vary",
-                noun="frame",
+                allowed="on one node, because the nodes of this body are design variables",
+                state=f"is on the nodes {list(interpolation.nodes)}",
+                noun=f"frame of {self.name!r}",
             )
         return Frame(self, interpolation.center(x) + vector("offset", offset), rotation("axes", axes), interpolation)
 

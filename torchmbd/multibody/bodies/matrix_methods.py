@@ -145,22 +145,25 @@ class MatrixMethods:
                     raise InputError(
                         (body.name,),
                         allowed="a body of elements or matrices",
-                        noun=repr(body.name),
-                        state="was reduced elsewhere",
+                        noun=f"body {body.name!r}",
+                        state="has no matrices of its nodes, because another program reduced it",
                     )
                 M, K = self.given_structure.matrices.now()
             else:
                 if not body.assembly.freedoms.plain:
                     raise InputError(
-                        (body.name, "nodes"), allowed="free of links", state="are linked", hint="save_reduced"
+                        (body.name, "nodes"),
+                        allowed="free of links",
+                        state="are linked, so that M and K have no rows of the nodes that follow",
+                        hint="save_reduced, which saves the reduced body",
                     )
                 K, M = matrices(Assembly(self.mesh, body.assembly.parts))
         if K.values.dim() > 1:
             raise InputError(
                 (body.name,),
                 allowed="a body with one design",
-                noun=repr(body.name),
-                state=f"has {K.values.shape[0]} designs",
+                noun=f"body {body.name!r}",
+                state=f"has {K.values.shape[0]} designs at once",
             )
         mass = M.pattern.to_scipy(M.values) if isinstance(M, SparseMatrix) else scipy.sparse.diags_array(M.numpy())
         return scipy.sparse.csr_array(mass), scipy.sparse.csr_array(K.pattern.to_scipy(K.values))

@@ -184,9 +184,8 @@ class MatrixStructure:
             raise InputError(
                 (self.name, "K"),
                 K,
-                "an elastic body in one piece",
-                state="with the reference held has a mode with the eigenvalue "
-                f"{float(lowest[0]):g} 1/s2, and {moving} moves most in it",
+                "the stiffness of an elastic body in one piece",
+                state=f"lets {moving} move without force while the reference is held (eigenvalue {float(lowest[0]):g} 1/s2)",
             )
 
     def _check_rigid(self, M: SparseMatrix, K: SparseMatrix, rigid: Tensor) -> None:
@@ -200,9 +199,8 @@ class MatrixStructure:
             motion = ("translation x", "translation y", "translation z", "rotation x", "rotation y", "rotation z")
             raise InputError(
                 (self.name, "K"),
-                allowed="the matrix of the body without supports, rows in the order of the nodes, in the units of the "
-                "nodes",
-                state=f"resists a rigid {motion[int(share.argmax())]} (forces {float(share.max()):.1e} of their parts)",
+                allowed="the matrix of the body without supports, with rows in the order of the nodes, in their units",
+                state=f"resists a rigid {motion[int(share.argmax())]} of the body (relative force {float(share.max()):.1e})",
             )
         masses = torch.einsum("ni,ni->i", rigid[:, :3], M @ rigid[:, :3])
         if not float(masses.min()) > 0 or float(masses.max() - masses.min()) > ISOTROPIC * float(masses.max()):
@@ -229,7 +227,7 @@ class MatrixStructure:
                     (self.name, "reference"),
                     reference,
                     "a node with rotations, or at least three nodes that are not on a line",
-                    state=f"is {reference!r}, which does not hold the body",
+                    state=f"is {reference!r}, which leaves the body movable",
                 )
             return nodes, held
         T, moments = rigid_motions(x)[:, :3], rigid_motions(x)
@@ -241,8 +239,7 @@ class MatrixStructure:
             raise InputError(
                 (self.name, "nodes"),
                 allowed="must have at least one node with three displacements",
-                state="has three displacements",
-                noun=f"nodes of {self.name!r}: none",
+                state="have rows of one or two displacements only",
             )
         distance = (x - center).square().sum(1)
         distance[~full] = torch.inf
@@ -256,7 +253,9 @@ class MatrixStructure:
         )
         if abs(R[2, 2]) < 1e-9 * abs(R[0, 0]):
             raise InputError(
-                (self.name, "nodes"), allowed="those of a body in space", state="lie on a line and have no rotations"
+                (self.name, "nodes"),
+                allowed="must not lie on a line, or must have rotations",
+                state="lie on a line and have no rotations",
             )
         return [node], [*first, *(int(k) for k in order[:3])]
 
@@ -284,7 +283,7 @@ class MatrixStructure:
             raise InputError(
                 (self.name, "modes"),
                 allowed="shapes that deform the body, without rigid motions",
-                state=f"contain one without stiffness (eigenvalues {float(values[0]):g} to {float(values[-1]):g} 1/s2)",
+                state=f"contain a shape without stiffness (eigenvalues {float(values[0]):g} to {float(values[-1]):g} 1/s2)",
             )
         first = math.sqrt(float(values[0])) / (2.0 * math.pi)
         density, sound = mass / size**3, first * size

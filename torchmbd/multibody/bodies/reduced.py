@@ -112,7 +112,11 @@ def _freedom_name(assembly: Assembly, freedom: int) -> tuple[str, str]:
     """The node of a degree of freedom and its direction, as "node 3", "about x"."""
     node, component = divmod(freedom, 6)
     named = getattr(assembly.mesh, "node_name", lambda k: f"node {k}")(node)
-    return named, f"{'along' if component < 3 else 'about'} {'xyz'[component % 3]}"
+    return named, _direction(component)
+
+
+def _direction(component: int) -> str:
+    return f"{'along' if component < 3 else 'about'} {'xyz'[component % 3]}"
 
 
 def _without_mass(assembly: Assembly) -> InputError | None:
@@ -148,7 +152,8 @@ def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence
         raise InputError(
             (name, "interface"),
             interface,
-            "nodes with six free components, such as the leader of a link",
-            state=f"has node {node}, whose component {i} follows others by a link or has no stiffness",
+            "nodes that can move in all six directions",
+            state=f"has node {node}, which has no stiffness {_direction(i)}, or follows other nodes there by a link",
+            hint="the node that leads the link",
         )
     return tuple(torch.searchsorted(free, freedoms).tolist())

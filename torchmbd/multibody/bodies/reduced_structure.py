@@ -107,7 +107,9 @@ class ReducedStructure:
             )
         if max(float((K2 - K2.transpose(0, k)).abs().max()) for k in (1, 2)) > NORMAL * float(K2.abs().max()):
             raise InputError(
-                (self.name, "K2"), allowed="the derivatives of an energy", state="changes with the order of its axes"
+                (self.name, "K2"),
+                allowed="the third derivatives of an energy",
+                state="is not symmetric: its numbers change if two of its axes are exchanged",
             )
         return K2
 
@@ -196,7 +198,7 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping
     """Write a reduced body to an .npz file; nodes are measured from the origin of its frame."""
     path = Path(path)
     if path.suffix != ".npz":
-        raise InputError("path", str(path), "a name that ends in .npz", state=f"= {str(path)!r}")
+        raise InputError("path", str(path), "a name that ends in .npz")
     if "F1" in structure:
         raise InputError("stiffening", True, "False, because files of reduced bodies cannot store stiffening")
     if structure["Kr"].dim() > 2:

@@ -45,8 +45,8 @@ def check_stressed(name: str, what: str, parts: Mapping[str, Any]) -> None:
         if isinstance(part, GivenElements):
             raise InputError(
                 (name, part_name),
-                allowed=f"plates or beams, in {what}",
-                state="is rods, springs or solids, which have no geometric stiffness in torchmbd",
+                allowed=f"plates or beams, for {what}",
+                state="has rods, springs or solids, whose stress torchmbd does not compute",
                 noun=f"part {part_name!r} of {name!r}",
             )
 

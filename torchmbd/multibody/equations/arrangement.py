@@ -185,8 +185,8 @@ def _check_constants(name: str, equation: Equation) -> None:
     if len(values) != count or not all(is_real(x) and math.isfinite(x) for x in values):
         raise InputError(
             (name, "constants"),
-            allowed=f"{count} finite numbers",
-            state=f"({kind}) are {equation.data!r}",
+            equation.data,
+            f"{count} finite numbers for an equation of the kind {kind}",
         )
 
 

@@ -386,17 +386,17 @@ def factored_inertia(inertia: Tensor) -> Tensor:
     if negative_mass(inertia):
         raise DesignFailure(
             "system",
-            noun="no vibrations:",
-            state=NEGATIVE_MASS,
+            state=f"has no vibrations, because {NEGATIVE_MASS}",
             hint="smaller loads, more pieces (mbd.split), exact beams",
         )
     L, singular = torch.linalg.cholesky_ex(inertia)
     if int(singular):
         raise DesignFailure(
             "system",
-            allowed="must have masses and inertias > 0 of all that is free to move",
+            allowed="must have a mass or an inertia above 0 for every free motion",
             noun="the mechanism",
-            state="has no vibrations, because it can move without moving a mass, as a body without inertia about a free axis",
+            state="has no vibrations, because a part of it can move without mass, such as a body that turns freely about an "
+            "axis without inertia",
         )
     return L
 

@@ -157,9 +157,9 @@ class GroundObserver(SteadyRotation):
         if T.flexible:
             raise InputError(
                 "observer",
-                allowed="'turning', who sees whirl at other frequencies",
-                state=f"is 'ground' with body {T.names[0]!r}, whose modes turn with it",
-                hint="flexible beams (mbd.FlexibleBeam) and rigid bodies",
+                allowed="'turning', which sees whirl at frequencies that differ by the speed",
+                state=f"is 'ground', but the modes of body {T.names[0]!r} turn with it",
+                hint="a model of flexible beams (mbd.FlexibleBeam) and rigid bodies, which the ground can observe",
             )
         v, a = self.rates(T, q)
         A = rotation_matrix(equations.split_q(T, q)[1])

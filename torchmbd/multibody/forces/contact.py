@@ -70,9 +70,7 @@ class _Stop(_Contact):
         module = ContactNumbers(self.name, numbers)
         values = [float(number(getattr(module, side))) for side in limits]
         if values != sorted(values):
-            raise InputError(
-                (self.name, "lower"), values[0], "below upper", shown=f"{values[0]:g}, upper {values[1]:g}"
-            )
+            raise InputError((self.name, "lower"), values[0], f"below upper = {values[1]:g}", shown=f"{values[0]:g}")
         self.width, self.middle = values[-1] - values[0], 0.5 * (values[0] + values[-1])
         self.control = StopControl(self.name, module, list(limits), self.between)
 

@@ -147,7 +147,7 @@ class Pieces:
         if len(self.intercepts) != n + 1 or len(self.inclines) != n + 1 or not self.width > 0:
             raise InputError(
                 "borders",
-                allowed="one fewer than the pieces, with a positive width",
+                allowed=f"must have {n + 1} intercepts, {n + 1} inclines and a positive width",
                 state=f"are {n}, with {len(self.intercepts)} intercepts, {len(self.inclines)} inclines, width {self.width!r}",
             )
         for x in (*self.borders, *self.intercepts, *self.inclines, self.width, self.damping):
@@ -156,8 +156,7 @@ class Pieces:
             raise InputError(
                 "borders",
                 self.borders,
-                f"growing, at least 2 width = {2 * self.width} apart",
-                state=f"are {self.borders!r}",
+                f"numbers in ascending order, at least 2 width = {2 * self.width} apart",
             )
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:

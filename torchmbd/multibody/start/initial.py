@@ -93,7 +93,7 @@ def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
         raise InputError(
             ("start", name),
             untransformed(x).tolist(),
-            f"zero for mode {count + 1} and the following, because a design retains {count} modes",
+            f"zero from mode {count + 1} on, because a design has {count} modes",
             shown=f"{untransformed(x).tolist()}",
             noun=f"start: {name!r}",
         )

@@ -74,9 +74,9 @@ def _refuse_padding(name: str, Kr: Tensor, w: Tensor) -> None:
     if not all_true(~is_padding(Kr) | (w == 0.0)):
         raise InputError(
             ("start", name),
-            allowed="zero for modes beyond the number that was requested",
-            state="has initial modal coordinates or rates of modes that a design does not retain",
-            noun=f"{name!r}",
+            allowed="zero for these modes",
+            state="gives an initial value to modes that the reduced body of a design does not have",
+            noun=f"start of {name!r}",
         )
 
 
@@ -88,9 +88,7 @@ def _refuse_turned(name: str, same: Tensor, w: Tensor) -> None:
     raise InputError(
         ("start", name),
         allowed="zero for these modes",
-        state="has initial modal coordinates or rates of modes of equal frequency, which have no "
-        "derivatives with respect to the design",
-        noun=f"{name!r}",
-        hint="gradients with respect to variables that do not change these modes, or the last state of a "
-        "motion with the same gradients",
+        state="gives an initial value to modes of equal frequency, whose shapes cannot be differentiated",
+        noun=f"start of {name!r}",
+        hint="variables that do not change this body, or start=motion, which continues a motion with gradients",
     )

@@ -49,7 +49,7 @@ class SupportedBody:
                 (body.name,),
                 allowed="a body of elements",
                 noun=f"body {body.name!r}",
-                state=f"of {what} is made of matrices, which give {lack}",
+                state=f"is made of matrices, which give {lack} for {what}",
             )
         if not vibrating:
             check_stressed(body.name, what, body.parts)
@@ -66,16 +66,16 @@ class SupportedBody:
                     (body.name, "supports", int(f // 6)),
                     float(held[f]),
                     "0, or names of degrees of freedom",
-                    state=f"impose {held[f]:g} on {FREEDOMS[f % 6]} of node {f // 6} of {body.name!r}, and frequencies are "
-                    "those of the unstressed body",
-                    noun="supports",
+                    state=f"displace node {f // 6} by {FREEDOMS[f % 6]} = {held[f]:g}, but frequencies have no "
+                    "initial stress",
+                    noun=f"supports of {body.name!r}",
                 )
             if f not in row:
                 raise InputError(
                     "supports",
                     supports,
-                    "must hold the node that it depends on",
-                    state=f"hold node {f // 6} of {body.name!r}, which depends on another node",
+                    "must hold the node that leads it",
+                    state=f"hold node {f // 6} of {body.name!r}, which follows another node by a link",
                 )
         self.imposed = torch.zeros(len(free), 1, dtype=torch.float64)
         kept = torch.ones(len(free), dtype=torch.bool)
@@ -143,7 +143,7 @@ class SupportedBody:
     def _free(self, fault: str) -> DesignFailure:
         path, noun = (self.name, "supports"), f"supports of {self.name!r}"
         allowed = "must hold more degrees of freedom"
-        return DesignFailure(path, allowed=allowed, noun=noun, state=f"leave it movable, because {fault}")
+        return DesignFailure(path, allowed=allowed, noun=noun, state=f"do not hold the body: {fault}")
 
 
 def _states(displacements: Tensor, changes: Changes) -> Iterator[tuple[Tensor, Mapping[str, str]]]:

@@ -72,7 +72,7 @@ def refuse_lost_constants(system: Any) -> None:
                 raise InputError(
                     (label,),
                     allowed=allowed,
-                    state="requires a gradient, but is a constant of the model",
+                    state="requires a gradient, but torchmbd takes it as a constant",
                     noun=f"{label!r}",
                 )
 

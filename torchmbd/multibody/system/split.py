@@ -112,17 +112,17 @@ def _line(body: Any) -> BeamLine:
     if body.damping.ratios is not None or body.damping.rate != 0.0:
         raise InputError(
             (body.name,),
-            allowed="must have `damping` in proportion to stiffness",
+            allowed="damped in proportion to stiffness (damping=...), for split",
             noun=f"body {body.name!r}",
-            state="of split has damping ratios, or a rate",
+            state="has damping ratios, or a rate",
         )
     line: BeamLine = body.mesh
     chain = torch.arange(len(line.nodes))
     if line.node_module is not None or not torch.equal(line.elements, torch.stack([chain[:-1], chain[1:]], 1)):
         raise InputError(
             (body.name, "line"),
-            allowed="must have elements from each node to the next, in split",
-            state="has branches, or nodes that vary",
+            allowed="a chain of elements from each node to the next, for split",
+            state="has branches, or nodes that are design variables",
         )
     return line
 

@@ -44,7 +44,7 @@ class Grid:
         if getattr(problem, "has_extra_variable", False):
             if entries[-1] is not None and not _single(allowed):
                 raise InputError(
-                    ("allowed", names[-1]), entries[-1], "None", noun=f"allowed of {names[-1]}, the largest of the rows"
+                    ("allowed", names[-1]), entries[-1], "None, because this variable is the largest of the rows"
                 )
             entries[-1] = None
         self.values = [_values(*row) for row in zip(names, entries, lower, upper, strict=True)]  # type: ignore[arg-type]

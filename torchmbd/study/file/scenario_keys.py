@@ -37,10 +37,10 @@ def _in_their_units(settings: dict[str, Numbers | Setting]) -> dict[str, Numbers
     for name, x in settings.items():
         if isinstance(x, Setting):
             if text := units.misfit(name, x.unit):
-                raise fault(f"= {x.unit!r}: {text}", name, "unit")
+                raise fault(f"= {x.unit!r}", name, "unit", allowed=text)
         elif units.quantity(name) == "rad":
             allowed = f"{{value: {x}, unit: deg}}, or unit: rad"
-            raise fault(f"= {x}: must have a unit, because it is an angle. Try: {allowed}", name)
+            raise fault(f"= {x}", name, allowed="must have a unit, because it is an angle", hint=allowed)
     return settings
 
 
@@ -70,7 +70,7 @@ class Scenario(Section):
     @model_validator(mode="after")
     def _sets_something(self) -> Self:
         if not self.set and not self.options:
-            raise fault(": sets nothing: must have set, options or both")
+            raise fault(": sets nothing", allowed="must have set, options or both")
         return self
 
     @property

@@ -25,7 +25,6 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from torchmbd.design.problem_steps import TOLERANCE
 from torchmbd.design.response_spec import SpecError, measure_of
@@ -65,7 +64,7 @@ def _readable(spec: dict[str, Any]) -> dict[str, Any]:
     try:
         measure_of(spec)
     except SpecError as error:
-        raise PydanticCustomError("response", "{text}", {"text": error.reason, "path": error.path}) from error
+        raise fault(error.reason, *error.path, kind="response") from error
     return spec
 
 
@@ -91,7 +90,7 @@ class Bounded(Section):
         for key in ("lower", "upper") if self.unit == "deg" else ():
             x = getattr(self, key)
             if x is not None and (text := turn_in_radians(x if isinstance(x, list) else [x])):
-                raise fault(f"= {x} with unit: deg: {text}: must be in degrees. Try: unit: rad", key)
+                raise fault(f"= {x} with unit: deg: {text}", key, allowed="in degrees", hint="unit: rad")
         return self
 
 
@@ -114,7 +113,7 @@ class Variable(Bounded):
     @classmethod
     def _not_negative(cls, numbers: Numbers | None) -> Numbers | None:
         if numbers is not None and min(numbers if isinstance(numbers, list) else [numbers]) < 0.0:
-            raise fault(f"= {shown(numbers)}: must not be negative")
+            raise fault(f"= {shown(numbers)}", allowed="must not be negative")
         return numbers
 
 
@@ -122,7 +121,7 @@ def units_fit(design: dict[str, Any]) -> dict[str, Any]:
     """Refuse a unit that a parameter of this name cannot have."""
     for name, variable in design.items():
         if text := units.misfit(name, variable.unit):
-            raise fault(f"= {variable.unit!r}: {text}", name, "unit")
+            raise fault(f"= {variable.unit!r}", name, "unit", allowed=text)
     return design
 
 
@@ -186,18 +185,24 @@ class Constraint(Section):
     def _one_limit_in_its_unit(self) -> Self:
         kinds = [key for key in LIMIT_KINDS if getattr(self, key) is not None]
         if len(kinds) != 1:
-            raise fault(f": has {' and '.join(kinds) or 'no limit'}: must have exactly one of {', '.join(LIMIT_KINDS)}")
+            raise fault(
+                f": has {' and '.join(kinds) or 'no limit'}",
+                allowed=f"must have exactly one of {', '.join(LIMIT_KINDS)}",
+            )
         si = unit(measure_of(self.measure))
         numbers = [x for x in (self.limit, self.scale) if isinstance(x, float)]
         if self.unit is None and si == "rad" and numbers:
-            raise fault(f": has a limit of an angle ({numbers[0]:g}) and no unit: must have unit: deg or unit: rad")
+            raise fault(
+                f": has a limit of an angle ({numbers[0]:g}) and no unit", allowed="must have unit: deg or unit: rad"
+            )
         if self.unit is not None and si is not None and units.UNITS[self.unit][1] != si:
             allowed = ", ".join(units.units_of(si)) or f"none, because limits are in {si}"
             raise fault(
-                f": has unit: {self.unit}, and a response in {si or 'plain numbers'}: must have one of the units {allowed}"
+                f": has unit: {self.unit}, and a response in {si or 'plain numbers'}",
+                allowed=f"must have one of the units {allowed}",
             )
         if self.unit == "deg" and (said := turn_in_radians(numbers[:1])):
-            raise fault(f": has unit: deg, and {said}: must be in degrees. Try: unit: rad")
+            raise fault(f": has unit: deg, and {said}", allowed="in degrees", hint="unit: rad")
         return self
 
     @property
@@ -253,10 +258,10 @@ class Starts(Section):
             if (getattr(self, key) is not None) != (key == wanted):
                 verb = "needs" if key == wanted else "takes no"
                 allowed = "sobol and latin_hypercube with count, given with points"
-                raise fault(f": sampler {self.sampler!r} {verb} {key!r}: must be {allowed}")
+                raise fault(f": sampler {self.sampler!r} {verb} {key!r}", allowed=allowed)
         if self.sampler == "none" and not self.include_initial:
             allowed = "include_initial: true"
-            raise fault(f": sampler 'none' with include_initial: false leaves no start: must have {allowed}")
+            raise fault(": sampler 'none' with include_initial: false leaves no start", allowed=f"must have {allowed}")
         return self
 
 
@@ -275,10 +280,11 @@ class Range(Section):
 
 def _known_store(uri_text: Any) -> StoreURI:
     if not isinstance(uri_text, str):
-        raise fault(f"= {shown(uri_text)}: must be a valid string")
+        raise fault(f"= {shown(uri_text)}", allowed="a valid string")
     uri = StoreURI(uri_text)
-    if text := uri_fault(uri):
-        raise fault(f"= {shown(str(uri))}: {text}")
+    if refusal := uri_fault(uri):
+        allowed, hint = refusal
+        raise fault(f"= {shown(str(uri))}", allowed=allowed, hint=hint)
     return uri
 
 
@@ -337,18 +343,19 @@ class StudyFile(Section):
         keys = {key for key in type(self).model_fields if getattr(self, key) is not None}
         keys |= {"tolerance"} if any(variable.tolerance is not None for variable in self.design.values()) else set()
         if not keys & {*OBJECTIVE_KEYS}:
-            text = "is missing: must be a response, such as {integral: {strain_energy: rod}}, or instead of it "
-            raise fault(text + " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:]), "minimize")
+            others = " or ".join(f"{key}:" for key in OBJECTIVE_KEYS[1:])
+            allowed = f"a response, such as {{integral: {{strain_energy: rod}}}}, or instead of it {others}"
+            raise fault("is missing", "minimize", allowed=allowed)
         for key in (key for key in _EXCLUSIVE if key in keys):
             if others := [other for other in _EXCLUSIVE[key] if other in keys]:
-                raise fault(f"and {' and '.join(others)} are both given: must not be given together", key)
+                raise fault(f"and {' and '.join(others)} are both given", key, allowed="must not be given together")
         if "robust" in keys and "tolerance" not in keys:
-            raise fault(f"= {self.robust!r}: must have a variable with a tolerance in design", "robust")
+            raise fault(f"= {self.robust!r}", "robust", allowed="must have a variable with a tolerance in design")
         if "combine" in keys and "scenarios" not in keys:
-            raise fault("is given without scenarios: must be given with them", "combine")
+            raise fault("is given without scenarios", "combine", allowed="given with them")
         names = [scenario.name for scenario in self.scenarios or () if scenario.name is not None]
         if len({*names}) < len(names):
-            raise fault(f": have the names {names}: must have each name once", "scenarios")
+            raise fault(f": have the names {names}", "scenarios", allowed="must have each name once")
         return self
 
     def resolved(self) -> dict[str, Any]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Annotated, Any
+from typing import Annotated, Any, LiteralString
 
 from annotated_types import Len
 from pydantic import AfterValidator, BaseModel, ConfigDict, field_validator
 from pydantic_core import PydanticCustomError
 
-from torchmbd.errors import must_be_one
+from torchmbd.errors import must, nearest
 from torchmbd.math import units
 from torchmbd.study.file.faults import shown
 
@@ -17,9 +17,16 @@ UNITS = {name: multiple for name, (multiple, _) in units.UNITS.items()}  # unit 
 Numbers = float | Annotated[list[float], Len(min_length=1)]
 
 
-def fault(text: str, *path: str) -> PydanticCustomError:
-    """Make the error of a validator; `text` follows the path in the message, `path`: keys below what is validated."""
-    return PydanticCustomError("fault", "{text}", {"text": text, "path": path})
+def fault(
+    state: str, *path: str | int, allowed: str = "", hint: str = "", kind: LiteralString = "fault"
+) -> PydanticCustomError:
+    """Make the error of a validator.
+
+    state          what is wrong; it follows the path in the message
+    path           keys below what is validated
+    allowed, hint  as of InputError
+    """
+    return PydanticCustomError(kind, "{state}", {"state": state, "allowed": allowed, "hint": hint, "path": path})
 
 
 class NameOf(AfterValidator):
@@ -28,7 +35,7 @@ class NameOf(AfterValidator):
     def __init__(self, names: Collection[str]) -> None:
         def check(name: str) -> str:
             if name not in names:
-                raise fault(f"= {shown(name)}: {must_be_one(name, names)}")
+                raise fault(f"= {shown(name)}", allowed=must(tuple(names)), hint=nearest(name, names))
             return name
 
         super().__init__(check)
@@ -62,5 +69,5 @@ class Section(BaseModel):
     def _no_empty_value(cls, value: Any) -> Any:
         """A key without a value was most likely forgotten: its default is that of no key."""
         if value is None:
-            raise fault("= null: must have a value, or be left out")
+            raise fault("= null", allowed="must have a value, or be left out")
         return value

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import types
 from functools import cache
-from typing import Any, Union, cast, get_args, get_origin
+from typing import Any, NamedTuple, Union, cast, get_args, get_origin
 
 from pydantic import ValidationError, create_model
 from pydantic_core import ErrorDetails
 
-from torchmbd.errors import Path, must, must_be_one
+from torchmbd.errors import Path, must, nearest
 from torchmbd.study.file.faults import Fault, shown
 from torchmbd.study.file.schema import LIMIT_KINDS, UNITS, Section
 from torchmbd.tracking.uri import StoreURI
@@ -30,20 +30,20 @@ _ALLOWED = {
     "count": "a whole number",
     **dict.fromkeys(("lower", "upper", "duration", "from", "to"), "a number"),
 }
-#: Kind of an error of pydantic -> the rule, with the numbers of the error.
-_MUST = {
-    **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size"), "must be a valid integer"),
-    "int_from_float": "must be a valid integer, without a fraction",
-    **dict.fromkeys(("float_type", "float_parsing"), "must be a valid number"),
-    "finite_number": "must be a finite number",
-    **dict.fromkeys(("string_type", "string_unicode"), "must be a valid string"),
-    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
-    "list_type": "must be a valid list",
-    "literal_error": "must be {expected}",
-    "greater_than": "must be greater than {gt:.12g}",
-    "greater_than_equal": "must be greater than or equal to {ge:.12g}",
-    "less_than": "must be less than {lt:.12g}",
-    "less_than_equal": "must be less than or equal to {le:.12g}",
+#: Kind of an error of pydantic -> what is allowed, with the numbers of the error.
+_RULES = {
+    **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size"), "a valid integer"),
+    "int_from_float": "a valid integer, without a fraction",
+    **dict.fromkeys(("float_type", "float_parsing"), "a valid number"),
+    "finite_number": "a finite number",
+    **dict.fromkeys(("string_type", "string_unicode"), "a valid string"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
+    "list_type": "a valid list",
+    "literal_error": "{expected}",
+    "greater_than": "greater than {gt:.12g}",
+    "greater_than_equal": "greater than or equal to {ge:.12g}",
+    "less_than": "less than {lt:.12g}",
+    "less_than_equal": "less than or equal to {le:.12g}",
     "string_too_short": "must have at least {min_length} character",
     "string_too_long": "must have at most {max_length} characters",
     "string_pattern_mismatch": "must match the pattern {pattern}",
@@ -96,17 +96,15 @@ def _entries(kind: type[Section], name: str, data: Any, wrong: set[str | int]) -
 
 
 def _faults(error: ValidationError, data: Any, kind: type[Section]) -> list[Fault]:
-    texts: dict[Path, list[str]] = {}
-    values: dict[Path, object] = {}
+    found: dict[Path, list[_Refusal]] = {}
     located = [(_path(details, data), details) for details in error.errors(include_url=False)]
     for path, details in located:
         if isinstance(details["input"], list) and any(other[:-1] == path for other, _ in located):
             continue  # not the list is wrong but an entry of it
-        text = _text(details, path, kind)
-        values[path] = _shown_input(details, path)
-        if text not in texts.setdefault(path, []):
-            texts[path].append(text)
-    return [Fault(path, _either(alternatives, values[path])) for path, alternatives in texts.items()]
+        refusal = _refusal(details, path, kind)
+        if refusal not in found.setdefault(path, []):
+            found[path].append(refusal)
+    return [Fault(path, _either(alternatives)) for path, alternatives in found.items()]
 
 
 def _path(details: ErrorDetails, data: Any) -> Path:
@@ -122,27 +120,39 @@ def _path(details: ErrorDetails, data: Any) -> Path:
     return (*path, *details.get("ctx", {}).get("path", ()))
 
 
-def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str:
-    kind, value = details["type"], _shown_input(details, path)
+class _Refusal(NamedTuple):
+    """What is wrong with a value, what is allowed and a remedy: fields as those of InputError."""
+
+    state: str
+    allowed: str = ""
+    hint: str = ""
+
+
+def _refusal(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> _Refusal:
+    kind, value, context = details["type"], _shown_input(details, path), details.get("ctx", {})
+    is_value = f"= {shown(value)}"
     if kind == "missing":
-        return f"is missing: {must(_ALLOWED.get(str(path[-1]), 'given'))}"
+        return _Refusal("is missing", _ALLOWED.get(str(path[-1]), "given"))
     if kind == "extra_forbidden":
-        return f"= {shown(value)} is an unknown key: {must_be_one(path[-1], _keys(path[:-1], kind_of_file))}"
+        keys = _keys(path[:-1], kind_of_file)
+        return _Refusal(f"{is_value} is an unknown key", must(keys), nearest(path[-1], keys))
     if kind == "string_pattern_mismatch" and path in (("model",), ("figures",), ("simulate", "phases")):
-        return f"= {shown(value)}: must be {_ALLOWED['model']}"
+        return _Refusal(is_value, _ALLOWED["model"])
     if kind == "response" and path[0] == "subject_to" and len(path) == 3:  # perhaps a limit that is misspelt
-        return f"{details['msg']}; a limit is one of {', '.join(LIMIT_KINDS)}"
+        return _Refusal(f"{context['state']}; a limit is one of {', '.join(LIMIT_KINDS)}")
     if kind in ("fault", "response"):
-        return details["msg"]
+        return _Refusal(context["state"], context["allowed"], context["hint"])
     if kind in ("model_type", "dict_type"):
-        return f"= {shown(value)}: must be a mapping (key: value)"
+        return _Refusal(is_value, "a mapping (key: value)")
     if kind == "too_short" and path == ("design",):
-        return "is empty: must have at least one parameter of the model"
+        return _Refusal("is empty", "must have at least one parameter of the model")
     if kind in ("too_short", "too_long") and isinstance(value, dict):
-        least = details.get("ctx", {}).get("min_length", 1)
-        return f"has {len(value)} keys: must have {'exactly one' if path == ('sweep',) else f'{least} or more'}"
-    rule = _MUST[kind].format(**details.get("ctx", {})) if kind in _MUST else details["msg"]
-    return f"= {shown(value)}: {rule}"
+        least = context.get("min_length", 1)
+        count = "exactly one" if path == ("sweep",) else f"{least} or more"
+        return _Refusal(f"has {len(value)} keys", f"must have {count}")
+    if kind in _RULES:
+        return _Refusal(is_value, _RULES[kind].format(**context))
+    return _Refusal(f"{is_value}: {details['msg']}")
 
 
 def _shown_input(details: ErrorDetails, path: Path) -> object:
@@ -151,12 +161,13 @@ def _shown_input(details: ErrorDetails, path: Path) -> object:
     return str(StoreURI(value)) if path == ("tracking", "uri") and isinstance(value, str) else value
 
 
-def _either(texts: list[str], value: object) -> str:
-    """Join the messages of the branches of a union about one value; a hint "did you mean" comes last."""
-    first, *others = texts
-    first, meant, hint = first.partition(". Try: ")
-    said = [other.removeprefix(f"= {shown(value)}: ").removeprefix("must be ") for other in others]
-    return first + "".join(f"; or {other}" for other in said) + meant + hint
+def _either(refusals: list[_Refusal]) -> str:
+    """Join the refusals of the branches of a union about one value; a remedy comes last."""
+    state, allowed, _ = refusals[0]
+    clauses = [f"{state}: {must(allowed)}" if allowed else state]
+    clauses += [x.allowed if x.allowed and x.state == state else f"{x.state} {must(x.allowed)}" for x in refusals[1:]]
+    hint = next((x.hint for x in refusals if x.hint), "")
+    return "; or ".join(x.removesuffix(" ") for x in clauses) + (f". Try: {hint}" if hint else "")
 
 
 def _keys(path: Path, section: Any) -> list[str]:

@@ -115,7 +115,7 @@ def load_run(run: str, uri: str | StoreURI | None = None, model: Models = ()) ->
     _, study = read_experiment(Source(config, folder / f"{entry.name}.yaml"))
     if not isinstance(study, StudySettings):
         raise InputError(
-            "run", entry.run_id, "a study", state=f"is one of {entry.kind}", noun=f"run {entry.run_id[:8]}"
+            "run", entry.run_id, "a study", state=f"is a record of {entry.kind}", noun=f"run {entry.run_id[:8]}"
         )
     key = entry.tags.get("problem_key")
     if key and key != problem_key(study.simulated):
@@ -144,7 +144,7 @@ def _model_folder(config: Document, named: list[str | Path]) -> Path:
             raise InputError(
                 "model",
                 allowed="the path of that Python file, or the name of that module, if you trust it",
-                state=f"is {[str(name) for name in named]}, and {config.source} executes {code!r}",
+                state=f"is {[str(name) for name in named]}, but {config.source} executes {code!r}",
             )
         folders.add(matching[0].parents[len(parts) - 1])
     if len(folders) > 1:

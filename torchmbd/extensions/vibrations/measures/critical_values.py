@@ -66,9 +66,9 @@ def root(
         raise DesignFailure(
             "between",
             p,
-            "must have curves that cross",
+            "a crossing of two curves",
             noun=name,
-            state=f"has no derivative at {p:g}, where two curves touch",
+            state=f"has no derivative at {p:g}, where the two curves touch without crossing",
         )
     y = g(torch.tensor(p, dtype=torch.float64), designs, more, False)
     return p - (y - y.detach()) / slope
@@ -202,9 +202,10 @@ class CriticalSpeed(OfVibrations):
                 raise DesignFailure(
                     "observer",
                     shaft.observer,
-                    "must see a round shaft, whose vibrations whirl",
-                    noun="an observer at rest",
-                    state=f"sees several frequencies of vibration {k + 1} at {float(speeds[i]):g} rad/s",
+                    "used for a round shaft, whose vibrations have one frequency for an observer at rest",
+                    noun="CriticalSpeed",
+                    state=f"is not defined: vibration {k + 1} has several frequencies for an observer at rest, at "
+                    f"{float(speeds[i]):g} rad/s",
                     hint=f"CampbellClearance for blades; {_BALANCED}",
                 )
             w = (w + seen.orders * speeds[:, None]).abs().sort(dim=1).values
@@ -225,9 +226,9 @@ class CriticalSpeed(OfVibrations):
             raise DesignFailure(
                 "between",
                 self.between,
-                "in the range",
+                "a range that contains it",
                 noun=f"critical speed {self.number} of order {self.order:g}",
-                state=f"is not between {low:g} and {high:g} rad/s, where {len(crossings)} are found",
+                state=f"is not between {low:g} and {high:g} rad/s, which contains {len(crossings)}",
                 hint="another range, or more points",
             )
         crossings = sorted(crossings)[: self.number]
@@ -236,10 +237,10 @@ class CriticalSpeed(OfVibrations):
                 raise DesignFailure(
                     "between",
                     self.between,
-                    "in a range where all vibrations decay",
+                    "a range in which the shaft is stable without damping",
                     noun=f"critical speed {self.number}",
-                    state=f"is not known, because between {float(speeds[i]):g} and {float(speeds[i + 1]):g} "
-                    f"rad/s frequency {k + 1} ends, where vibrations without damping grow",
+                    state=f"is unknown, because vibration {k + 1} becomes unstable without damping between "
+                    f"{float(speeds[i]):g} and {float(speeds[i + 1]):g} rad/s",
                     hint="another range",
                 )
         _, i, k = crossings[-1]
@@ -332,9 +333,9 @@ class StabilityLimit(OfVibrations):
                 raise DesignFailure(
                     "parameter",
                     self.parameter,
-                    "must have damping of all vibrations, and no free motion",
+                    "a parameter of a system whose vibrations are all damped and which cannot move freely",
                     noun=f"{self.parameter} = {float(values[i]):g}",
-                    state="has a vibration that neither decays nor grows, before others begin to grow",
+                    state="has a vibration that neither decays nor grows, so that a limit of stability cannot be found",
                 )
         low, high = self.between
         state = "vibrations grow at all values" if bool(grows.all()) else "no vibration begins to grow"

@@ -66,13 +66,13 @@ def _shape(system: System, key: _Key) -> NodalShape:
         )
     i = int(order[number - 1])
     if spectrum.fault[i] or int((spectrum.cluster == spectrum.cluster[i]).sum()) > 1:
-        why = spectrum.fault[i] or "one of several that coincide"
+        why = spectrum.fault[i] or "equal to another"
         raise DesignFailure(
             "number",
             number,
-            "must have a shape of its own",
+            "a vibration with a shape of its own",
             noun=f"vibration {number} of the system as it was built",
-            state=f"has no shape to follow, because it is {why}",
+            state=f"has no shape to follow, because its eigenvalue is {why}",
             hint="another number, or follow=False",
         )
     modes = {name: x[0].detach().clone() for name, x in states.modes.items()}

@@ -111,10 +111,10 @@ def _vibration(rest: Equilibrium, number: Any, lane: int) -> tuple[Tensor, Tenso
         raise InputError(
             "number",
             number,
-            "must have a shape of its own",
+            "a vibration with a shape of its own",
             noun=f"vibration {number}",
-            state=f"has none, because it is {spectrum.fault[k]}",
-            hint="another vibration",
+            state=f"has no shape, because its eigenvalue is {spectrum.fault[k]}",
+            hint="another number",
         )
     r = spectrum.right[:, k]
     return s[k], r * torch.exp(-0.5j * (r**2).sum().angle()) / r.abs().max()
