@@ -280,8 +280,8 @@ def test_bad_input_is_refused_at_the_door(given, words):
         (lambda: WeightedSum([(1.0, mbd.Max(ENERGY))], normalize=(1.0, 2.0)), "normalize = (1.0, 2.0)"),
         (lambda: mbd.Max(ENERGY) + "x", "part of sum = 'x': must be a measure of one number"),
         (lambda: ENERGY + "x", "operand = 'x'"),
-        (lambda: ENERGY - mbd.variable(1.0), "carries a gradient"),
-        (lambda: mbd.Max(ENERGY) <= mbd.variable(1.0), "carries a gradient"),
+        (lambda: ENERGY - mbd.variable(1.0), "has a gradient"),
+        (lambda: mbd.Max(ENERGY) <= mbd.variable(1.0), "has a gradient"),
         (lambda: mbd.Max(ENERGY).equals(0.0, scale=-1.0), "scale of a constraint = -1.0"),
     ],
 )

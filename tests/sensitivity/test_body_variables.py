@@ -198,13 +198,13 @@ def test_they_are_trained_saved_and_copied(system):
 def test_what_no_parameter_can_be_is_refused_by_name():
     body = ("b", 1.0, (1.0, 1.0, 1.0))
     cases = {
-        "b.mass carries": lambda: mbd.RigidBody("b", 2.0 * mbd.variable(1.0), body[2]),
+        "b.mass has a gradient": lambda: mbd.RigidBody("b", 2.0 * mbd.variable(1.0), body[2]),
         "b.mass is a Parameter of shape": lambda: mbd.RigidBody("b", parameter(1.0), body[2]),
         "b.velocity": lambda: mbd.RigidBody(*body, velocity=parameter(1.0, 2.0)),
         "Parameter of torch.float32": lambda: mbd.RigidBody(*body, velocity=nn.Parameter(torch.zeros(3))),
-        "b.axes carries": lambda: mbd.RigidBody(*body, axes=nn.Parameter(torch.eye(3, dtype=torch.float64))),
+        "b.axes has a gradient": lambda: mbd.RigidBody(*body, axes=nn.Parameter(torch.eye(3, dtype=torch.float64))),
         "b.inertia": lambda: mbd.RigidBody("b", 1.0, parameter(1.0, 1.0, 5.0)),
-        "b.point carries": lambda: mbd.RigidBody(*body).at(2.0 * mbd.variable(0.1)),
+        "b.point has a gradient": lambda: mbd.RigidBody(*body).at(2.0 * mbd.variable(0.1)),
     }
     for message, make in cases.items():
         with pytest.raises(InputError, match=message):

@@ -108,9 +108,8 @@ def refuse_gradients(name: str | Path, value: Any, allowed: str = "numbers") -> 
         for x in value:
             refuse_gradients(name, x, allowed)
     elif carries_gradient(value):
-        shown = " ".join(repr(value).split())
-        state = f"requires a gradient, which torchmbd cannot use here: {shown}"
-        raise InputError(name, value, f"{allowed}, or x.detach()", state=state)
+        state = "has a gradient, which torchmbd cannot use here"
+        raise InputError(name, value, allowed, "x.detach()", state=state)
 
 
 def refuse_derivatives(name: str | Path, x: Tensor, instead: str) -> None:

@@ -308,7 +308,7 @@ class Linearization:
         K of two springs in series has the sum of their stiffnesses, in which the soft one may be lost. Forces along a vibration
         have it: there the stiff spring hardly gets longer. Soft vibrations are a system by themselves, with softer ones in it.
         """
-        if self.product is None or self.rotates or self.nonconservative:
+        if self.product is None or self.rotates or self.nonconservative or not self.N.shape[1]:
             return self
         inverse, K = torch.linalg.inv(self.factored_inertia()), self.reduced(self.K)
         squares, Y = torch.linalg.eigh(inverse @ (0.5 * (K + K.T)) @ inverse.T)
