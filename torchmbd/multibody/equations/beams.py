@@ -115,11 +115,7 @@ def elements(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None = None) -
 
 def resistance(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None) -> tuple[Any, Any]:
     """Forces [3, bodies] in ground axes and torques [3, bodies] in body axes with which the elements resist their strains."""
-    return on_bodies(T, elements(T, data, at, rates))
-
-
-def on_bodies(T: Any, e: Elements) -> tuple[Any, Any]:
-    """The forces of elements as `resistance` has them."""
+    e = elements(T, data, at, rates)
     forces, torques = [], []
     for k, w in enumerate(wrenches(e.screw, e.force)):
         force = matvec(e.turn[k], w[:3])
