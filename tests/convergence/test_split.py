@@ -32,9 +32,7 @@ def tip(n: int, force: tuple[float, ...], moment: tuple[float, ...]) -> Tensor:
     with torch.no_grad():
         result = mbd.equilibrium(system)
         if n == 2 and moment[2] > 1.0:
-            with pytest.raises(
-                mbd.InputError, match="no vibrations: bodies bend until their modes have a negative mass"
-            ):
+            with pytest.raises(mbd.DesignFailure, match="bodies bend until their modes have a negative mass"):
                 _ = result.vibrations
         return result.body(chain.bodies[-1].name).at("end").position[0, 0]
 
