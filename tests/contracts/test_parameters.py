@@ -166,7 +166,7 @@ SYSTEMS: dict[str, tuple[Callable[[], mbd.System], dict[str, float]]] = {
     "metal of a beam": (metal_beam, {"section": 0.01, "twist": 0.05}),
     "entries of a section": (entries_of_a_section, {"stiffness": 0.03, "twist": 0.05}),
     "clamps": (clamps_and_mounts, {}),
-    "springs and friction": (rubbing_joints, {"speed": 5e-3}),
+    "springs and friction": (rubbing_joints, {"speed": 5e-3, "force": 3e-2}),  # linear: smaller steps show rounding
     "an exact beam": (exact_beam, {"twist": 0.05}),
     "bodies and plies": (masses_and_plies, {"nu12": 0.02}),
 }
