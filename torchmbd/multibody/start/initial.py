@@ -8,8 +8,6 @@ satisfy the constraints have three levels, and a level changes only where no rat
     2  rigid velocities that were given           least change
     3  modal rates                                least kinetic energy 1/2 w' w of the change: modes have unit modal mass
 
-Sums have velocities divided by the size L of the mechanism, so least squares do not depend on units: twice the root mean
-square of the distances of origins and attached points from their mean, where the bodies of the design are put.
 A platform that is guided by leaves has elastic travel alone: a drive that starts with a speed bends the leaves (level 3).
 
     q <- q o s,  s = -K Phi(q, t0)           repeated until closed; rigid coordinates alone
@@ -37,10 +35,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
-from torchmbd.math.elementwise import sqrt
 from torchmbd.math.gradients import all_true, untransformed, wraps
 from torchmbd.math.module_call import outside_transforms
-from torchmbd.math.pair import Pair, apply, cat, dot, linear, value
+from torchmbd.math.pair import Pair, apply, cat, linear, value
 from torchmbd.math.rotation import euler_parameters, rotation_matrix
 from torchmbd.multibody.bodies.frame import given_velocities
 from torchmbd.multibody.equations import base_points, equations
@@ -52,10 +49,7 @@ from torchmbd.multibody.start.closing import Closing, warn_far
 from torchmbd.multibody.start.rate_levels import RateLevel, rate_levels
 from torchmbd.multibody.start.rigid_groups import RigidGroups
 
-# Largest violation of a closed joint, as a share of its change where all coordinates move by their sizes.
-_CLOSED = 1e-11
-_POINT = 1e-9  # share of the distance from the ground's origin below which the size of a mechanism is rounding
-_ROUNDING = 1e-14  # of places, in the violation of a joint
+_CLOSED = 1e-11  # [m] or [-]: largest violation of a closed joint
 _STRAINING = 1e-8  # [m] or [-]: largest violation of joints after rigid motions that strains beams without a warning
 _STEPS = 50
 _KEPT = 1e-6  # share of the largest given velocity by which one may change without a warning
@@ -148,23 +142,6 @@ class InitialConditions:
         q = base_points.of_origins(topology.base_points, start["q0"][:, None, None])[:, 0, 0]
         return cls(topology, q, start["v0"], torch.cat([mask, modal]), built)
 
-    def sizes(self, dynamics: Any) -> Any:
-        """Sizes of the rates [n_v, 1, lanes], a pair where they vary: L of the module header for velocities [m], else 1."""
-        T, data, lanes = self.topology, dynamics.data, dynamics.lanes
-        q = linear(lambda x: x.expand(*x.shape[:-1], lanes), self._given_positions(data))
-        t = torch.zeros((), dtype=torch.float64, device=value(q).device)
-        g = equations.placement(T, data, q, T.prescribed(t, data)).g
-        is_point = torch.tensor([i for i, x in enumerate(T.attached) if x.is_point], dtype=torch.long)
-        points = cat([equations.split_q(T, q)[0], g.index_select(1, is_point.to(t.device))], 1)
-        arms = points - linear(lambda x: x.mean(1, keepdim=True), points)
-        square = 4.0 * linear(lambda x: x.mean(0, keepdim=True), dot(arms, arms))
-        rounding = (_POINT * value(points).detach().abs().amax((0, 1))).square()
-        size = sqrt(square + (value(square).detach() <= rounding).to(t.dtype))
-        translations = 3 * T.bodies
-        return cat(
-            [linear(lambda x: x.expand(translations, *x.shape[1:]), size), t.new_ones(T.n_v - translations, 1, 1)]
-        )
-
     @cached_property
     def condensed(self) -> Condensation | None:
         """The condensation of the joints to the ground; None if there is nothing to condense."""
@@ -201,8 +178,7 @@ class InitialConditions:
         """True if rigid rates leave constraint rates open at q [n_q, 1, 1] and given v [n_v, 1, 1]."""
         if not self.topology.flexible:
             return False
-        sizes, base = self.sizes(undeformed), self.topology.base_points
-        joints = _Joints.of(undeformed, q, q.new_zeros(()), [self.rigid_mask], sizes, base)
+        joints = _Joints.of(undeformed, q, q.new_zeros(()), [self.rigid_mask], self.topology.base_points)
         x = joints.rates(v)
         size = max(float(y.abs().max()) for y in (v, x))
         return float(joints.open_rates(x).abs().max()) > _OPEN * size
@@ -253,20 +229,21 @@ class InitialConditions:
         start = value(q).detach()
         if T.beams is not None:
             q = RigidGroups.by_beams(T).closed(dynamics, q, t, _CLOSED)
-        unstrained, sizes = value(q).detach(), self.sizes(dynamics)
+        unstrained = value(q).detach()
         for step in range(_STEPS):
-            joints = _Joints.of(dynamics, q, t, self.closing_levels, sizes)
+            joints = _Joints.of(dynamics, q, t, self.closing_levels)
             phi = joints.violation()
-            if bool(untransformed(value(phi).detach().abs() <= joints.closed).all()):
+            if float(untransformed(value(phi)).abs().max()) < _CLOSED:
                 if step or T.beams is not None:
                     dynamics.outside_transforms(self._warn_moved, start, value(q).detach())
                 if step and T.beams is not None:
                     dynamics.outside_transforms(self._warn_strained, unstrained, value(q).detach())
                 break
-            s = joints.step(value(phi).detach())
-            q = equations.advance(T, q, s - joints.correction(phi + joints.changes(s)))
+            s = -joints.correction(value(phi).detach())
+            residual = phi + joints.changes(s)
+            q = equations.advance(T, q, s + joints.jacobian_part(s) - joints.correction(residual))
         else:
-            outside_transforms(self._refuse, value(phi), joints.closed)
+            outside_transforms(self._refuse, value(phi))
         return equations.advance(T, q, -joints.correction(phi)), v
 
     def _given_positions(self, data: Any) -> Any:
@@ -313,10 +290,10 @@ class InitialConditions:
             return base_points.rates_of_origins(T.base_points, rotation_matrix(equations.split_q(T, q)[1]), v)
         t = torch.zeros((), dtype=torch.float64, device=value(q).device)
         levels = [self.rigid_mask & ~self.rate_mask, self.rate_mask, ~self.rigid_mask]
-        joints = _Joints.of(dynamics, q, t, levels, self.sizes(dynamics), T.base_points)
-        s = joints.step(value(joints.rates(v)).detach())
-        outside_transforms(self._warn_changed, value(v), value(s))
-        return joints.of_base_points(v + s - joints.correction(joints.rates(v + s)))
+        joints = _Joints.of(dynamics, q, t, levels, T.base_points)
+        s = -joints.correction(value(joints.rates(v)).detach())
+        outside_transforms(self._warn_changed, value(v), s)
+        return joints.of_base_points(v + s + joints.jacobian_part(s) - joints.correction(joints.rates(v + s)))
 
     def _warn_changed(self, v: Tensor, s: Tensor) -> None:
         """Warn of given velocities v that corrections s change [n_v, 1, lanes]."""
@@ -336,11 +313,10 @@ class InitialConditions:
                 + (f"; and {more} more" if more > 0 else ""),
             )
 
-    def _refuse(self, phi: Tensor, closed: Tensor) -> None:
-        T, share = self.topology, (phi.abs() / closed.clamp_min(torch.finfo(phi.dtype).tiny)).amax((1, 2))
-        phi = phi.abs().amax((1, 2))
-        worst = torch.argsort(share, descending=True)[:4]
-        rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if share[i] > 1.0)
+    def _refuse(self, phi: Tensor) -> None:
+        T, phi = self.topology, phi.abs().amax((1, 2))
+        worst = torch.argsort(phi, descending=True)[:4]
+        rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > _CLOSED)
         raise DoesNotClose(
             "joints",
             allowed="must have positions from which Newton's method can close all joints"
@@ -354,35 +330,26 @@ class InitialConditions:
 class _Joints:
     """The joints of all lanes at coordinates q and time t; level: the last of the rates that satisfy them.
 
-    level   of rates divided by their sizes [n_v]
-    closed  violations of closed joints [rows, 1, lanes]
-    arms    base points of the bodies where rates v, s are those of origins; None: they are those of base points
+    arms   base points of the bodies where rates v, s are those of origins; None: they are those of base points
     """
 
     dynamics: Any
     at: equations.Placement
     t: Tensor
     level: RateLevel
-    sizes: Any
-    closed: Tensor
     arms: Tensor | None
 
     @classmethod
-    def of(
-        cls, dynamics: Any, q: Any, t: Tensor, masks: Sequence[Tensor], sizes: Any, arms: Tensor | None = None
-    ) -> _Joints:
-        """masks: the rates of each level [n_v], the preferred ones first; sizes: of the rates [n_v, 1, lanes]."""
+    def of(cls, dynamics: Any, q: Any, t: Tensor, masks: Sequence[Tensor], arms: Tensor | None = None) -> _Joints:
+        """masks: the rates of each level [n_v], the preferred ones first."""
         T, data = dynamics.topology, dynamics.data
         values = {name: value(x).detach() for name, x in data.items()}
         plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
         J = dynamics.saddle.jacobian(values, plain)
         J = base_points.forces_on_origins(arms, plain.A[:, :, : T.bodies], J.permute(2, 1, 0)).permute(2, 1, 0)
         at = equations.placement(T, data, q, T.prescribed(t, data))
-        J = J * value(sizes).detach().permute(2, 1, 0)
         levels = rate_levels(T, J, [mask.to(J.device) for mask in masks if bool(mask.any())])
-        places = value(q).detach()[: 3 * T.bodies].abs().amax(0)
-        closed = _CLOSED * J.norm(dim=2).T[:, None] + _ROUNDING * places
-        return cls(dynamics, at, t, levels, sizes, closed, arms)
+        return cls(dynamics, at, t, levels, arms)
 
     def violation(self) -> Any:
         """Phi [rows, ...]."""
@@ -409,21 +376,19 @@ class _Joints:
 
     def correction(self, x: Any) -> Any:
         """K x [n_v, ...] of x [rows, ...]."""
-        sizes = value(self.sizes).detach()
-        return linear(lambda y: sizes * apply(self.level.K, y), x)
+        return linear(lambda y: apply(self.level.K, y), x)
 
     def open_rates(self, x: Tensor) -> Tensor:
         """The part of constraint rates x [rows, ...] that no rates of the levels make."""
         return x - apply(self.level.made, x)
 
-    def step(self, x: Tensor) -> Any:
-        """-K x [n_v, ...] of x [rows, 1, lanes], with the derivatives of J and of the sizes at fixed x + J s."""
-        s = -apply(self.level.K, x)
-        D = value(self.sizes).detach() * self.level.changes(s, self._constraint_forces)
-        return self.sizes * s + (D - value(D).detach())  # rounding, of small bodies with large modes
+    def jacobian_part(self, s: Tensor) -> Any:
+        """D [n_v, ...]: derivatives of J in a correction s at fixed Phi + J s, of value zero."""
+        D = self.level.changes(s, self._constraint_forces)
+        return D - value(D).detach()  # rounding, of small bodies with large modes
 
     def _constraint_forces(self, y: Tensor) -> Any:
-        """J' y [n_v, ...] with the derivatives of J, times the sizes of the rates."""
+        """J' y [n_v, ...] with the derivatives of J."""
         T, data = self.dynamics.topology, self.dynamics.data
         forces = cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])
-        return self.sizes * base_points.forces_on_origins(self.arms, self._rotations, forces)
+        return base_points.forces_on_origins(self.arms, self._rotations, forces)
