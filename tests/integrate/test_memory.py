@@ -104,8 +104,13 @@ def test_a_problem_evaluates_any_number_of_designs_in_batches_that_fit(monkeypat
     installed = memory._tables(problem.system) + 4.0 * (3.5 * one + memory._work(24))
     monkeypatch.setattr(memory, "installed_memory", lambda: installed)
     sizes = []
-    simulate = problem.simulate
-    monkeypatch.setattr(problem, "simulate", lambda X, gradients: sizes.append(len(X)) or simulate(X, gradients))
+    motions = problem._motions
+
+    def counted(X, *others, **options):
+        sizes.append(len(X))
+        return motions(X, *others, **options)
+
+    monkeypatch.setattr(problem, "_motions", counted)
     result = problem.evaluate(X, True)
     assert sizes == [3, 3, 3, 2]
     for a, b in zip(result, expected, strict=True):

@@ -75,9 +75,9 @@ def test_scenarios_of_several_systems_count(monkeypatch):
     """By a clock that only simulations move: every batch simulates each system with a lane for each of its scenarios."""
     clock, light, heavy = [0.0], mbd.examples.arm(), mbd.examples.arm()
 
-    def counted(simulation, designs, *others):
+    def counted(simulation, designs, *others, **options):
         clock[0] += len(next(iter(designs.values())))
-        return simulate(simulation, designs, *others)
+        return simulate(simulation, designs, *others, **options)
 
     payload = {"arm.laminate.thickness": [2e-3, 2e-3]}
     problem = mbd.Scenarios(

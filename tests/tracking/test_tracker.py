@@ -352,4 +352,4 @@ def test_names_beyond_the_locale(tmp_path, monkeypatch):
     for cwd, name in ((tmp_path / "ü", "runs.db"), (tmp_path, "ü/runs.db")):
         command[-1] = name
         refused = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
-        assert "cannot be written in the encoding of this locale, ascii: must be PYTHONUTF8=1" in refused.stderr
+        assert "cannot be written in the encoding of this locale, ascii. Try: PYTHONUTF8=1" in refused.stderr

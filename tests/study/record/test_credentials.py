@@ -76,7 +76,7 @@ def test_a_store_that_does_not_answer(write, folder, monkeypatch, capsys, way, p
     if way == "environment":
         monkeypatch.delenv("MLFLOW_TRACKING_URI")
         assert cli.main(["sync"]) == 1
-        assert "must be the whole URI as MLFLOW_TRACKING_URI" in said(capsys)
+        assert "Try: the whole URI as MLFLOW_TRACKING_URI" in said(capsys)
 
 
 @pytest.mark.slow
