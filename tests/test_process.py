@@ -10,7 +10,9 @@ import sys
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import torchmbd as mbd
 from tests.refused import refused
@@ -47,6 +49,33 @@ print(kept, faults())
         kept, faults = done.stdout.split()
         assert kept == str(expected)
         assert (int(faults) < 100) is expected
+
+
+def test_a_search_has_one_thread_of_blas_and_restores_their_number(monkeypatch):
+    """Whose threads wait busily on the cores of compiled code."""
+    for name in ONE_THREAD:
+        monkeypatch.delenv(name, raising=False)
+
+    class Bowl:
+        start, lower, upper, names = np.ones(1), -np.ones(1), np.ones(1), ["x"]
+
+        def evaluate(self, X, gradients):
+            seen.update(threads())
+            return [mbd.optimization.Evaluation(float(x @ x), np.zeros(0), 2 * x, np.zeros((0, 1))) for x in X]
+
+    def threads():
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    with threadpool_limits(2, "blas"):
+        for search in (mbd.optimization.optimize, mbd.optimization.multistart):
+            seen = set()
+            search(Bowl())
+            assert seen == {1}
+            assert threads() == {2}
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+        seen = set()
+        mbd.optimization.optimize(Bowl())
+        assert seen == {2}
 
 
 def test_the_number_of_threads_is_that_of_the_call_the_environment_or_the_cores(monkeypatch):

@@ -1,9 +1,10 @@
 """A whole multistart beside the same optimizer that drives the peer by differences.
 
 Three-layer slider-crank, integral of U with its peak held, Sobol starts, the same limits of iterations and the same number
-of steps for both codes. Both evaluate a batch of designs in two processes, each with a share; ours in one process as
-well. The peer's batch has all designs and their forward differences; modes come from our structure stage, in batches,
-inside the time of both. Processes are there, and the limit is known to them, before the clock starts.
+of steps for both codes. Ours is one process with a thread for each core, as the command has it without --workers, and
+beside it two processes, each with a share of every batch; the peer has two processes. A batch of the peer has all designs and
+their forward differences; modes come from our structure stage, in batches, inside the time of both. Processes are there, and
+the limit is known to them, before the clock starts.
 """
 
 from __future__ import annotations
@@ -43,12 +44,13 @@ def own_problem(steps: int) -> mbd.Problem:
 _worker: dict[str, Any] = {}
 
 
-def _begin(peer: bool) -> None:
+def _begin(peer: bool, begun: Any) -> None:
     sys.stdout = sys.stderr  # standard output belongs to the JSON object
     use_one_thread()
     _worker["system"] = build(3, joint="spherical")
     if peer:
         import experiments.peers.exudyn_peer  # noqa: F401  before the clock starts
+    begun.wait()
 
 
 def _peer_measures(X: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
@@ -128,16 +130,19 @@ def multistart(settings: Settings, starts: int = STARTS, iterations: int = ITERA
     ready = compiled_ready(ours.system.dynamics())
     rows: list[list[Cell]] = []
     total = {"ours": 0.0, "peer": 0.0}
-    with multiprocessing.get_context("spawn").Pool(PROCESSES, _begin, (bool(settings.peer),)) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    begun = spawn.Barrier(1 + PROCESSES)
+    with spawn.Pool(PROCESSES, _begin, (bool(settings.peer), begun)) as pool:
+        begun.wait()
         for method in METHODS:
             with compilation(ready):
                 seconds, study = run(own_problem(steps), method, starts, iterations)
-                rows.append([f"torchmbd, {method}, one process", seconds, *_summary(study), None])
+                rows.append([f"torchmbd, {method}", seconds, *_summary(study), None])
+                total["ours"] += seconds
                 with mbd.optimization.Processes(own_problem(steps), PROCESSES) as problem:
                     problem.wait()
                     seconds, study = run(problem, method, starts, iterations)
-            total["ours"] += seconds
-            rows.append([f"torchmbd, {method}", seconds, *_summary(study), None])
+            rows.append([f"torchmbd, {method}, processes", seconds, *_summary(study), None])
             if not settings.peer:
                 continue
             peer = PeerProblem(ours, pool, steps)

@@ -39,6 +39,7 @@ from torchmbd.optimization.optimizer import (
 )
 from torchmbd.optimization.search import Interrupted, OutOfAnalyses, OutOfTime, Search, deadline_of
 from torchmbd.optimization.units import variable_scale
+from torchmbd.process import one_thread_of_blas
 from torchmbd.progress import both, shown
 
 MAX_ITERATIONS = 100
@@ -47,6 +48,7 @@ KKT = 1e-3  # Kuhn-Tucker residual of an optimum, of methods without an option o
 
 
 @warnings_once()
+@one_thread_of_blas()
 def optimize(
     problem: NonlinearProgram,
     method: str = DEFAULT_METHOD,

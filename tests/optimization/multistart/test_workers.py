@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import logging
 import os
 import signal
 import subprocess
@@ -10,6 +12,7 @@ import threading
 import time
 from pathlib import Path
 
+import dask
 import numpy as np
 import psutil
 import pytest
@@ -17,6 +20,7 @@ import pytest
 import torchmbd as mbd
 from tests.refused import ANY, refused
 from torchmbd.optimization import Evaluation
+from torchmbd.process import thread_count
 
 pytestmark = pytest.mark.thorough
 
@@ -51,6 +55,27 @@ def shared():
     with mbd.optimization.Processes(Bowl(0.25), 2) as problem:
         problem.wait()
         yield problem
+
+
+def test_the_process_is_left_as_it_was(monkeypatch):
+    """Environment, threads, Dask's settings and loggers, after a block; inside of it the first two."""
+    monkeypatch.delenv("TORCHMBD_THREADS", raising=False)
+
+    def here():
+        loggers = [
+            logging.getLogger(name).level for name in ("distributed", "distributed.client", "tornado.application")
+        ]
+        return dict(os.environ), thread_count(), copy.deepcopy(dask.config.config), loggers
+
+    import distributed  # noqa: F401  which sets its own defaults
+
+    before = here()
+    with mbd.optimization.Processes(Bowl(0.25), 2) as problem:
+        problem.wait()
+        assert here()[:2] == before[:2]
+        with pytest.raises(Overflow):
+            problem.evaluate(np.full((2, 2), 3.5), True)
+    assert here() == before
 
 
 def test_a_batch_is_shared_out_in_order(shared):

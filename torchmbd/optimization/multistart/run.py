@@ -52,6 +52,7 @@ from torchmbd.optimization.optimizer import (
 )
 from torchmbd.optimization.search import EvaluateBatch, Report, Search, deadline_of, is_over
 from torchmbd.optimization.units import variable_scale
+from torchmbd.process import one_thread_of_blas
 from torchmbd.progress import shown
 from torchmbd.summary import Summary, few, plural
 
@@ -228,6 +229,7 @@ class MultistartResult(Summary):
 
 
 @warnings_once()
+@one_thread_of_blas()
 def multistart(
     problem: NonlinearProgram,
     method: str = DEFAULT_METHOD,

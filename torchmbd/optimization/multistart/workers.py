@@ -25,7 +25,7 @@ import copy
 import logging
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, Self
@@ -77,6 +77,7 @@ class Workers:
         self._workers, self._start = workers or cores(), start
         self._client: Any = None
         self._cluster: Any = None
+        self._left = contextlib.ExitStack()  # what makes this process as it was before
 
     def __enter__(self) -> Self:
         try:
@@ -92,26 +93,32 @@ class Workers:
                 str(error.name),
                 "pip install 'torchmbd[cluster]', or one process",
             ) from None
-        config.set(_SETTINGS | {"distributed.nanny.pre-spawn-environ": worker_threads()})
-        for name in _SILENCED_LOGGERS:  # they write tracebacks; an MbdError reports what matters
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-        if self.scheduler is None:
-            start = self._start or partial(start_local_cluster, module=self._made[0].__module__)
-            self._cluster = start(self._workers)
+        settings = config.set(_SETTINGS | {"distributed.nanny.pre-spawn-environ": worker_threads()})
+        self._left = contextlib.ExitStack()
+        self._left.enter_context(settings)
+        self._left.enter_context(_own_environment())
+        self._left.enter_context(_silence(_SILENCED_LOGGERS))
         try:
-            self._client = Client(self._cluster or self.scheduler, timeout=_TIMEOUT)
-            first = 1 if self.scheduler or self._start else self._workers
-            self._client.wait_for_workers(first, timeout=None if self._start else _TIMEOUT)
-        except BaseException as error:  # also Ctrl-C, while jobs wait in a queue
+            with _own_environment():  # here, too: this process has all its threads while workers evaluate
+                self._connect(partial(start_local_cluster, module=self._made[0].__module__), Client)
+        except BaseException:  # also Ctrl-C, while jobs wait in a queue
             self.__exit__()
-            if not isinstance(error, (OSError, TimeoutError, ValueError)):
-                raise
-            where = self.scheduler or "this machine"
-            raise MbdError(f"no worker answers on {where} after {_TIMEOUT} s: {error}") from error
+            raise
         return self
 
+    def _connect(self, start_here: Callable[[int], Any], client: Callable[..., Any]) -> None:
+        if self.scheduler is None:
+            self._cluster = (self._start or start_here)(self._workers)
+        first = 1 if self.scheduler or self._start else self._workers
+        try:
+            self._client = client(self._cluster or self.scheduler, timeout=_TIMEOUT)
+            self._client.wait_for_workers(first, timeout=None if self._start else _TIMEOUT)
+        except (OSError, TimeoutError, ValueError) as error:
+            where = self.scheduler or "this machine"
+            raise MbdError(f"no worker answers on {where} after {_TIMEOUT} s: {error}") from error
+
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(TimeoutError):  # what is being started just now ends with this process
+        with self._left, contextlib.suppress(TimeoutError):  # what is being started just now ends with this process
             if self._client is not None:
                 self._client.close(timeout=5)
             if self._cluster is not None:
@@ -160,6 +167,32 @@ class Workers:
         """Stop the evaluation of futures, unless the scheduler has ended."""
         if self._client.status == "running":
             self._client.cancel(futures, force=True)
+
+
+@contextlib.contextmanager
+def _own_environment() -> Iterator[None]:
+    """Restore the environment of this process: a nanny, which runs in it, gives it the number of threads of its worker."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
+
+
+@contextlib.contextmanager
+def _silence(names: Iterable[str]) -> Iterator[None]:
+    """Silence loggers that write tracebacks; an MbdError reports what matters."""
+    loggers = [logging.getLogger(name) for name in names]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 @dataclass
