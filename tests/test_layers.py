@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parents[1] / "torchmbd"
 # From the ground up; packages of one line do not import each other.
 LAYERS = (
     {"errors"},
-    {"process", "progress", "summary", "registry"},
+    {"process", "progress", "summary", "registry", "fixed_arguments"},
     {"math", "viz.figures"},
     {"fem.mesh", "fem.materials", "fem.shape_functions"},
     {"fem.elements", "fem.sections"},

@@ -19,12 +19,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from torchmbd.errors import InputError
-
-if TYPE_CHECKING:
-    from threadpoolctl import ThreadpoolController
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # names of malloc.h for `mallopt`
 _KEPT = 512 * 2**20  # bytes; 128 designs: 0.91 of the time with 512 MB, 0.95 with 256 MB, 1 with 128 MB
@@ -98,17 +94,11 @@ def one_thread_of_blas() -> Iterator[None]:
     if os.environ.keys() & ONE_THREAD.keys():
         yield
         return
-    with _blas().limit(limits=1, user_api="blas"):
+    import scipy.linalg  # noqa: F401  which loads the BLAS of SciPy
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, "blas"):
         yield
-
-
-@cache
-def _blas() -> ThreadpoolController:
-    """The libraries of BLAS in this process: NumPy and SciPy have one each."""
-    import scipy.linalg  # noqa: F401  which loads its library
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController()
 
 
 @cache

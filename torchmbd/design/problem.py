@@ -43,6 +43,7 @@ from torchmbd.design.space import DesignSpace
 from torchmbd.design.words import names_of_rows
 from torchmbd.errors import InputError, SimulationFailure, argument_names, keyword_hints
 from torchmbd.fem.reduction import CutCluster
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.integrate import Phase, Trajectory
 from torchmbd.integrate.arguments import check_gradients
 from torchmbd.integrate.backend import likely_backend
@@ -62,7 +63,7 @@ Rows = tuple[np.ndarray, np.ndarray | None]  # values [lanes, rows]; slopes [lan
 
 
 @keyword_hints
-class Problem(Summary):
+class Problem(FixedArguments, Summary):
     """A transient optimization problem.
 
     system      the model; its parameters are the candidates for design variables

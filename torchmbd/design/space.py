@@ -25,6 +25,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from torchmbd.errors import InputError, Path, unknown
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.math.units import shown
 from torchmbd.multibody.system import System
@@ -44,7 +45,7 @@ class Links(NamedTuple):
     factor: np.ndarray
 
 
-class DesignSpace:
+class DesignSpace(FixedArguments):
     """Maps design vectors to parameters of a system.
 
     system     the model

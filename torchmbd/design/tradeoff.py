@@ -23,12 +23,13 @@ from torchmbd.design.problem_parts import constraints_of
 from torchmbd.design.response import Constraint, Measure, require_scalar_measures
 from torchmbd.design.words import unit
 from torchmbd.errors import InputError
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Criteria
 
 
-class Tradeoff:
+class Tradeoff(FixedArguments):
     """A transient problem of several criteria, for `pareto_front`.
 
     system, duration  as in Problem [s]

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.optimization.api import checked_box
 from torchmbd.optimization.extra_variable import ExtraVariable
 from torchmbd.optimization.optimizer import Evaluation, NonlinearProgram, as_numbers, require_few, require_inside
@@ -37,7 +38,7 @@ BETA = "beta"
 MAX_CORNERS = 4096
 
 
-class RobustProblem:
+class RobustProblem(FixedArguments):
     """`problem` with its criterion replaced by its mean or its worst case over a tolerance. It is a problem too.
 
     problem     as `optimize` takes it; without equalities

@@ -25,6 +25,7 @@ from torchmbd.diagnosis.diagnose import explain, warn_of_model, warn_of_motion
 from torchmbd.diagnosis.jumps import refuse_jumps
 from torchmbd.diagnosis.repetition import Repetition
 from torchmbd.errors import InputError, argument_names, true_or_false
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.integrate.arguments import (
     check_backend,
     check_dtypes,
@@ -89,7 +90,7 @@ class _Preparation(NamedTuple):
     keeps_equations: bool
 
 
-class Simulation(Summary):
+class Simulation(FixedArguments, Summary):
     """The motions of a system over a duration, for any designs: prepared and checked once, called often.
 
     system, duration, method, steps, phases, backend, start, options   as in `simulate`
@@ -141,12 +142,9 @@ class Simulation(Summary):
         integrator_of(arguments.get("method", DEFAULT), options, names)
         return cls(system, duration, **arguments)
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        """InputError for an argument: motions would follow in part from what was prepared with the former one."""
-        if name in vars(self) and not name.startswith("_"):
-            hint = f"simulation.with_arguments({name}=...), which makes another"
-            raise InputError(name, value, hint=hint, state="of a Simulation cannot change")
-        super().__setattr__(name, value)
+    def other_way(self, argument: str) -> str:
+        """What to do in place of setting an argument."""
+        return f"simulation.with_arguments({argument}=...), which makes another"
 
     @property
     def seconds(self) -> float:

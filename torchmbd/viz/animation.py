@@ -132,7 +132,7 @@ def spread_frames(motion: Any, max_frames: int) -> np.ndarray:
 def scene_of(motion: Any, lane: int, frames: np.ndarray) -> dict[str, Any]:
     """Return the data that viewer.html and film.py draw: bodies, joints and view at the times of these indices."""
     t = _array(motion.t)
-    drawn = [body for body in motion.system.bodies if not isinstance(body, BeamNode)] + motion.system.beams
+    drawn = [body for body in motion.system.bodies if not isinstance(body, BeamNode)] + list(motion.system.beams)
     index = {body.name: k for k, body in enumerate(drawn)}
     index |= {node.name: index[beam.name] for beam in motion.system.beams for node in beam.node_bodies}
     joints = list(motion.system.joints)

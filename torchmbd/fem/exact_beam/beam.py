@@ -27,6 +27,7 @@ from torchmbd.fem.exact_beam.loads import Loads, Supports, supported_freedoms
 from torchmbd.fem.exact_beam.sections import ElementProperties, SpanSections, element_properties
 from torchmbd.fem.exact_beam.solution import solve
 from torchmbd.fem.exact_beam.vibrations import frequencies
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.math.checked_numbers import is_whole, parameter, reals
 from torchmbd.math.gradients import untransformed
 from torchmbd.math.module_call import outside_transforms
@@ -73,7 +74,7 @@ class BeamState(NamedTuple):
     path: tuple[Float[Tensor, " k"], Float[Tensor, "k n 3"]]
 
 
-class ExactBeam(nn.Module):
+class ExactBeam(FixedArguments, nn.Module):
     """A single beam with finite displacements and rotations (not a body of a System).
 
     name           for messages

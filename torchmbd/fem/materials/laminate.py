@@ -42,6 +42,7 @@ from torchmbd.fem.materials.expansion import Expansion, HeldExpansion, free_expa
 from torchmbd.fem.materials.laminate_checks import checked_angles, checked_correction, checked_plies, checked_thickness
 from torchmbd.fem.materials.ply import Lamina
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.math.checked_numbers import is_real
 from torchmbd.math.variable import LayerNumbers, is_variable, stacked
 
@@ -81,7 +82,7 @@ class LaminateStiffness(NamedTuple):
 
 
 @keyword_hints
-class Laminate(nn.Module):
+class Laminate(FixedArguments, nn.Module):
     """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
 
     A torch.nn.Parameter is registered itself, not copied; computed tensors that require gradients raise an error.

@@ -38,6 +38,7 @@ from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import MaterialAxes, Mesh
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.fem.reduction.invariants import all_invariants, modal_invariants
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.math.lane_groups import by_groups
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.body_memory import require_memory
@@ -67,7 +68,7 @@ InterfaceArgument = Node | Interface | Sequence[Node | Interface] | Mapping[str,
 
 
 @keyword_hints
-class FlexibleBody(MatrixMethods, nn.Module):
+class FlexibleBody(FixedArguments, MatrixMethods, nn.Module):
     """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_matrices` or `.from_reduced`, or by readers of files.
 
     The body frame sits at the reference node (the mean of several) with the axes of the mesh. Modules of parts, such as

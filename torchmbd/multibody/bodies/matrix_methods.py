@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import Assembly
+from torchmbd.fixed_arguments import fix_arguments
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.frame import identifier, set_modal_start, set_start
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices
@@ -131,6 +132,7 @@ class MatrixMethods:
             body.add_module("model", structure.module)
         body.damping = ModalDamping(name, damping)
         set_modal_start(body, None, None)
+        fix_arguments(body)
         return body
 
     def mass_and_stiffness(self) -> tuple[Any, Any]:

@@ -53,10 +53,10 @@ def enrich(body: Any, modes: int) -> bool:
             return False
         reduction = replace(before, n=n)
         if structure is None:
-            body.reduction = reduction
+            vars(body)["reduction"] = reduction
         else:
             structure.keep(reduction)
-        body.modes = reduction(K, M).stiffness.shape[-1]
+        vars(body)["modes"] = reduction(K, M).stiffness.shape[-1]
     set_modal_start(body, None, None)
     return True
 

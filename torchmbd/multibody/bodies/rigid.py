@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, keyword_hints
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.math.checked_numbers import parameter, positive
 from torchmbd.math.plausible_units import GYRATION, warn_unusual
 from torchmbd.multibody.bodies.frame import (
@@ -67,7 +68,7 @@ def same_body(a: Any, b: Any) -> bool:
 
 
 @keyword_hints
-class RigidBody(nn.Module):
+class RigidBody(FixedArguments, nn.Module):
     """A rigid body.
 
     name              an identifier, unique in its system

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 from torch import Tensor
 
 from torchmbd.errors import HintedKeywords, InputError
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.math.variable import ParameterVector
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.bodies.rigid import Ground
@@ -30,7 +31,7 @@ class Applied(NamedTuple):
     law: Any
 
 
-class ForceElement(HintedKeywords):
+class ForceElement(FixedArguments, HintedKeywords):
     """Base of all force elements: the frames that it acts on, and a name.
 
     variables_in_laws   whether its design variables are numbers of laws, which are data of the motion: data["law NAME"]

@@ -22,6 +22,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import HintedKeywords, InputError
 from torchmbd.fem.elements.beam_line import varying_nodes
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.math.variable import Numbers, ParameterVector
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
@@ -224,7 +225,7 @@ class JointCoordinate:
         return f"{self.joint.name}.{'angle' if self.turns else 'travel'}"
 
 
-class Joint(HintedKeywords):
+class Joint(FixedArguments, HintedKeywords):
     """Base of all joints: two frames on two different bodies, and a name."""
 
     def __init__(self, a: Frame, b: Frame, name: str | None = None):

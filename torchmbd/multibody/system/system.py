@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, keyword_hints, one_of, unknown
+from torchmbd.fixed_arguments import FixedArguments
 from torchmbd.math.checked_numbers import list_of, positive
 from torchmbd.math.gradients import refuse_derivatives
 from torchmbd.math.module_call import call_module, exclusive, outside_transforms
@@ -55,7 +56,7 @@ _START = (*POSE, *VELOCITIES, *MODAL)  # all numbers of the initial state
 
 
 @keyword_hints
-class System(nn.Module):
+class System(FixedArguments, nn.Module):
     """Bodies joined by joints.
 
     bodies         rigid and flexible bodies and flexible beams; their names are unique
@@ -75,7 +76,9 @@ class System(nn.Module):
     (5, 1)
     """
 
+    joints: tuple[Joint, ...]
     gravity: Tensor | None
+    free_arguments: ClassVar = ("stabilization", "truncation")
     #: Attributes that follow from bodies, joints, forces and start (math/digest.py); the last three fill while they are used.
     derived_state: ClassVar = (
         "topology",
@@ -122,7 +125,7 @@ class System(nn.Module):
             if not (isinstance(body, BeamNode) and body.index)
         ]
         forces = [force for force in forces if not (isinstance(force, BeamChain) and force.beam in bodies)]
-        self.beams = [body for body in bodies if isinstance(body, FlexibleBeam)]
+        self.beams = tuple(body for body in bodies if isinstance(body, FlexibleBeam))
         check_connected(bodies, joints, forces, free)
         bodies = [part for body in bodies for part in (body.node_bodies if isinstance(body, FlexibleBeam) else [body])]
         forces = [*forces, *map(BeamChain, self.beams)]
@@ -132,13 +135,13 @@ class System(nn.Module):
                 raise InputError(
                     "bodies", name, "unique", state=f"is used {names.count(name)} times", noun=f"body name {name!r}"
                 )
-        self.bodies = bodies
+        self.bodies = tuple(bodies)
         register(self, "gravity", None if gravity is None else vector_or_parameter("gravity", gravity))
         if self.gravity is not None:
             warn_gravity(self.gravity)
         self.stabilization = positive("stabilization", stabilization, "s")
         self.truncation = None if truncation is None else positive("truncation", truncation, "")
-        self.forces = forces
+        self.forces = tuple(forces)
         self._join(joints)
         for body in (*self.bodies, *self.beams):
             if hasattr(self, body.name) or hasattr(StateEquation, body.name) or body.name == "data":
@@ -187,7 +190,7 @@ class System(nn.Module):
                 self.add_module(name, module)
 
     def _join(self, joints: Sequence[Joint]) -> None:
-        self.joints = list(joints)
+        vars(self)["joints"] = tuple(joints)
         topology = arrangement.build(self.bodies, self.joints, self.forces)
         self._take(topology if self._mode_counts is None else topology.with_modes(self._mode_counts))
         self._joined_with = with_copies(self._constants_of_start())
