@@ -32,6 +32,14 @@ def test_a_list_of_variables_has_one_parameter_as_its_remedy():
         mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([0, 90]), thickness=walls)
 
 
+def test_a_computed_tensor_has_a_parameter_as_its_remedy_and_single_precision_the_type():
+    ply, x = mbd.examples.carbon(), torch.zeros(2, dtype=torch.float64, requires_grad=True)
+    with refused("angles", "torch.nn.Parameter(x.detach())", "x.backward(p.grad)"):
+        mbd.Laminate(ply, 2.0 * x, 1e-3)
+    with refused("angles", "torch.float32", "dtype=torch.float64"):
+        mbd.Laminate(ply, torch.nn.Parameter(torch.zeros(2)), 1e-3)
+
+
 def test_what_torch_func_differentiates_is_seen_and_constants_made_inside_are_not():
     def f(x: torch.Tensor) -> torch.Tensor:
         one = torch.ones(2, dtype=torch.float64)
