@@ -355,8 +355,8 @@ def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = (
     allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
     for option in options:
         if option not in allowed:
-            state = f"= {options[option]!r} is not an option of method {name!r}"
-            raise InputError(option, options[option], [*allowed, *arguments], state=state)
+            value, state = options[option], f"is not an option of method {name!r}"
+            raise InputError(option, value, [*allowed, *arguments], shown=repr(value), state=state)
     return method
 
 

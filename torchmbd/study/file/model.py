@@ -85,7 +85,7 @@ def _refused(spec: str, state: str = "", allowed: str = "", hint: str = "") -> I
 
     state   words after the name
     """
-    return InputError((), spec, allowed, hint, noun="function", state=f"= {shown(spec, _LONGEST)} {state}".rstrip())
+    return InputError((), spec, allowed, hint, noun="function", shown=shown(spec, _LONGEST), state=state)
 
 
 def _named(spec: str, folder: Path) -> Any:
