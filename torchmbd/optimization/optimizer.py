@@ -280,7 +280,10 @@ class OptimizationResult(Summary):
     def search_text(self) -> str:
         """How the search ended, whether its design is better than the start, and how many evaluations failed."""
         ending = "converged" if self.converged else f"not converged ({self.status}: {self.message})"
-        return f"{ending}; {self.gain_text}; {failures_text(self.analyses, self.reasons)}"
+        failures = (
+            [] if self.status == "many_failures" else [failures_text(self.analyses, self.reasons)]
+        )  # in the message
+        return "; ".join([ending, self.gain_text, *failures])
 
     @property
     def failing_text(self) -> str:

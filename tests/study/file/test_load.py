@@ -204,7 +204,7 @@ def test_everything_that_is_wrong_is_named_at_once(write):
             "model",
             "says -> int about what it returns: must be annotated with",
         ),
-        ({"model": "rod_model.py:broken", "options": {}}, "options", "ZeroDivisionError in"),
+        ({"model": "rod_model.py:broken", "options": {}}, "model", "ZeroDivisionError in"),
         ({"simulate": {"duration": 0.1, "rtoll": 1}}, "simulate.rtoll", "is not an option"),
         ({"simulate": {"duration": 0.1, "method": "dopri5", "refresh": 1}}, "simulate.refresh", "of method 'dopri5'"),
         ({"optimizer": {"name": "mmfd", "ctt": 1}}, "optimizer.ctt", "is not an option"),
