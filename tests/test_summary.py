@@ -24,6 +24,21 @@ def test_no_description_is_longer_than_a_screen(motion):
     assert "0 to 0.02 s, 101 times" in repr(motion)
 
 
+def test_results_with_large_tensors_show_their_numbers_and_shapes():
+    body = mbd.examples.arm().body("arm")
+    modes = mbd.natural_frequencies(body, number=2)
+    loaded = mbd.buckling.linear_buckling(body, {"right": (-1.0, 0.0, 0.0)})
+    drawn = mbd.vibrations.campbell(mbd.examples.pendulum(), [0.0], modes=1)
+    phases = [mbd.Phase(lasting=0.1), mbd.Phase(name="second")]
+    [switch] = mbd.simulate(mbd.examples.pendulum(), 0.2, phases=phases, steps=20).switches
+    for result in (modes, loaded, drawn, switch, switch.before):
+        assert "tensor(" not in repr(result)
+        assert len(repr(result).splitlines()) < 20
+    assert repr(switch) == "Switch('second' begins at t = 0.1 s)"
+    assert f"{modes.frequencies[1].item():.4g} Hz" in repr(modes)
+    assert "vibration 1" in repr(drawn)
+
+
 def test_a_failed_lane_is_shown(motion):
     from dataclasses import replace
 

@@ -245,7 +245,8 @@ def ui(
             "uri",
             store,
             "a store that contains studies",
-            state=f"= {store!r} does not contain a study yet",
+            shown=repr(store),
+            state="does not contain a study yet",
             hint="`torchmbd run`, which makes one",
         )
     if store.served:

@@ -46,10 +46,11 @@ class InputError(MbdError, ValueError):
              them, or the last key of the path must be one, if `state` is given
     hint     what the user can do, in words that follow "Try: "
 
-    The message is written from these fields. It has one of two forms:
+    The message is written from these fields. It has one of three forms:
 
         argument = value: must be `allowed`. Try: `hint`
         argument `state`: must be `allowed`. Try: `hint`
+        argument = value `state`: must be `allowed`. Try: `hint`
 
     A part of the message is left out if its field is empty.
 
@@ -81,8 +82,9 @@ class InputError(MbdError, ValueError):
 
         argument  its name or the keys to it; a whole sentence where nothing else is given
         noun      the words for the argument in the message; default: its keys, with points between them
-        shown     the value in the message, with its unit; default: its repr; "": the message is without the value
-        state     the words in place of "= value": "has shape (3,)"
+        shown     the value in the message, with its unit; "": the message is without the value; default: its repr, but "" if
+                  there is a state
+        state     what is wrong with the value: "has shape (3,)"; it follows the value if this is shown
         """
         self.value = None if value is _ABSENT else value
         self.allowed = allowed if isinstance(allowed, str) else tuple(map(str, allowed))
@@ -92,7 +94,7 @@ class InputError(MbdError, ValueError):
         self.hint = hint if isinstance(self.allowed, str) else _remedies(name, self.allowed, hint)
         self.path: Path = () if self._is_sentence else keys
         self._noun = str(argument) if self._is_sentence else noun
-        self._shown = shown if shown is not None else "" if value is _ABSENT else _brief(value, _LONGEST)
+        self._shown = shown if shown is not None else "" if value is _ABSENT or state else _brief(value, _LONGEST)
         self._has_value, self.state = value is not _ABSENT, state
         super().__init__(str(self))
 
@@ -119,7 +121,7 @@ class InputError(MbdError, ValueError):
         """The message as it follows the argument's key in a file: "= -1.0 s: must be a positive number"."""
         if self._is_sentence:
             return f": {self}"
-        what = self.state or (f"= {self._shown}" if self._shown else "")
+        what = " ".join(x for x in (f"= {self._shown}" if self._shown else "", self.state) if x)
         text = ": ".join(x for x in (what, must(self.allowed)) if x)
         return f"{text}. Try: {self.hint}" if self.hint else text
 

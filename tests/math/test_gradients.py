@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 import torchmbd as mbd
-from tests.refused import refused
+from tests.refused import ANY, refused
 from torchmbd.math.gradients import carries_gradient, constant_arguments, refuse_gradients, refuse_lost_gradients
 
 K = nn.Parameter(torch.ones((), dtype=torch.float64))
@@ -30,6 +30,14 @@ def test_a_list_of_variables_has_one_parameter_as_its_remedy():
     remedy = "torch.nn.Parameter(torch.tensor([0.001, 0.002], dtype=torch.float64))"
     with refused("tube.thickness", walls, remedy):
         mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([0, 90]), thickness=walls)
+
+
+def test_a_computed_tensor_has_a_parameter_as_its_remedy_and_single_precision_the_type():
+    ply, x = mbd.examples.carbon(), torch.zeros(2, dtype=torch.float64, requires_grad=True)
+    with refused("angles", ANY, "torch.nn.Parameter(x.detach())", "x.backward(p.grad)"):
+        mbd.Laminate(ply, 2.0 * x, 1e-3)
+    with refused("angles", ANY, "torch.float32", "dtype=torch.float64"):
+        mbd.Laminate(ply, torch.nn.Parameter(torch.zeros(2)), 1e-3)
 
 
 def test_what_torch_func_differentiates_is_seen_and_constants_made_inside_are_not():

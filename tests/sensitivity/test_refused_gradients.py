@@ -320,7 +320,7 @@ def test_a_variable_is_taken_and_what_is_computed_of_one_is_refused(name):
     TAKEN[name](v)
     wrong = [2.0 * v, v.detach().clone().requires_grad_(), nn.Parameter(v.detach().float())]
     for x in wrong if name == "i_section.thickness" else [*wrong, parameter(1.0)]:  # one thickness of one ply is right
-        with pytest.raises(mbd.InputError, match=rf"(?s){name}.*mbd\.variable"):
+        with pytest.raises(mbd.InputError, match=rf"(?s){name}.*(mbd\.variable|dtype=torch\.float64)"):
             TAKEN[name](x)
 
 

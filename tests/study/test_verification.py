@@ -82,7 +82,7 @@ def test_exit_codes_and_status(runs: SimpleNamespace) -> None:
 def test_the_terminal_says_it(runs: SimpleNamespace) -> None:
     assert "verified: the objective changed by -" in runs.fine.output
     assert "not verified: " in runs.coarse.output
-    assert "Allowed: steps: " in runs.coarse.output
+    assert "Try: steps: " in runs.coarse.output
     rows = [line for line in runs.fine.output.splitlines() if line.strip().startswith(("minimize", "at most"))]
     assert len(rows) == 2
     assert "mass of bob" in rows[1]

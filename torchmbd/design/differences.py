@@ -50,7 +50,7 @@ def differences(
     start, origin = (tails[1], ends[1]) if scheme == "central" else (middle[:, None], X[:, None, :])
     actual = np.diagonal(ends[0] - origin, axis1=1, axis2=2)  # steps after rounding
     if not actual.all():
-        raise InputError("step", step, "larger", state=f"= {step!r} does not change a design")
+        raise InputError("step", step, "larger", shown=repr(step), state="does not change a design")
     slopes = (tails[0] - start) / actual.reshape(lanes, n, *[1] * (values.ndim - 1))
     return middle, np.moveaxis(slopes, 1, -1)
 

@@ -341,7 +341,7 @@ class Problem(FixedArguments, Summary):
     steps = cached_property(problem_steps.problem_steps)
 
     @cached_property
-    def _done(self) -> set[str]:
+    def _evaluated(self) -> set[str]:
         """Holds "gradients" once they were evaluated. A cached property, because keys do not depend on what was done before."""
         return set()
 
@@ -357,7 +357,7 @@ class Problem(FixedArguments, Summary):
         if len(X) > batch:
             return [e for k in range(0, len(X), batch) for e in self.evaluate(X[k : k + batch], gradients)]
         try:
-            motions = self._motions(X, gradients, diagnose=not (gradients and self._done))
+            motions = self._motions(X, gradients, diagnose=not (gradients and self._evaluated))
         except CutCluster as error:  # names its lanes, so that the other designs remain one batch
             if len(X) == 1:
                 return [Evaluation.failure(f"failed: {error}", self.rows)]
@@ -367,7 +367,7 @@ class Problem(FixedArguments, Summary):
             return [failed[lane] if lane in failed else evaluations[lane] for lane in range(len(X))]
         except (InputError, SimulationFailure) as error:
             return self._refused(X, gradients, self._refusal(X, gradients, error) if len(X) == 1 else "")
-        self._done.update({"gradients"} if gradients else ())
+        self._evaluated.update({"gradients"} if gradients else ())
         reference = self.reference  # outside of `try`: a start that fails is no failure of these designs
         try:
             values, slopes = self._rows(reference, motions, X)

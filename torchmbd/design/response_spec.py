@@ -70,7 +70,7 @@ def measure_of(spec: Any, path: Path = (), find: Find | None = None) -> Measure:
     if name in OF_DESIGN:
         if options:
             key = next(iter(options))
-            raise SpecError((*path, key), f"unknown key: {must_be_one(key, _arguments(OF_DESIGN[name]))}")
+            raise SpecError((*path, key), f"is an unknown key: {must_be_one(key, _arguments(OF_DESIGN[name]))}")
         return _from_word(OF_DESIGN[name], inner, (*path, name))
     return _built(COMBINATORS[name], (history_of(inner, (*path, name), find),), options, path)
 
@@ -89,7 +89,7 @@ def history_of(spec: Any, path: Path = (), find: Find | None = None) -> History:
             words = f"an argument of {outer!r} stands beside it. Try: {outer}: {{...}}, {key}: {options[key]!r}"
         else:
             words = f"arguments of {name!r} stand inside it. Try: {name}: {{{key}: {options[key]!r}, ...}}"
-        raise SpecError((*path, key), f"unknown key: {words}")
+        raise SpecError((*path, key), f"is an unknown key: {words}")
     return _from_word(RESPONSES[name], spec[name], (*path, name))
 
 
@@ -129,7 +129,7 @@ def _operation(name: str, spec: Any, options: Mapping[str, Any], path: Path, rea
     entry = (*path, name)
     for key in options:
         if name != SCALED or key != "by":
-            raise SpecError((*path, key), f"unknown key: {must_be_one(key, ['by'] if name == SCALED else [])}")
+            raise SpecError((*path, key), f"is an unknown key: {must_be_one(key, ['by'] if name == SCALED else [])}")
     if name in SINGLE:
         return _combined(SINGLE[name], entry, read(spec, entry))
     if name == SCALED:
@@ -202,7 +202,7 @@ def _check_options(function: Callable[..., Any], options: Mapping[str, Any], bef
     takes_any = any(p.kind is p.VAR_KEYWORD for p in parameters)
     for key in options:
         if key not in names and not takes_any:
-            raise SpecError((*path, key), f"unknown key: {must_be_one(key, names)}")
+            raise SpecError((*path, key), f"is an unknown key: {must_be_one(key, names)}")
     for p in parameters:
         if p.name in names and p.default is p.empty and p.name not in options:
             raise SpecError(path, f"lacks {p.name!r}: must have {', '.join(names)}")
@@ -243,7 +243,7 @@ def _name_and_options(spec: Any, names: Collection[str], path: Path) -> tuple[st
         if absence := next((why for x in registries if (why := x.absence(str(absent)))), None):
             raise SpecError((*path, absent), f": {absence}")
     missing = next((f"; {why}" for x in registries if (why := x.missing(key))), "")
-    raise SpecError((*path, key), f"unknown name: {must_be_one(key, names)}{missing}")
+    raise SpecError((*path, key), f"is an unknown name: {must_be_one(key, names)}{missing}")
 
 
 def _from_word(kind: type, spec: Any, path: Path) -> Any:

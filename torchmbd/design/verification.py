@@ -139,7 +139,7 @@ def verification(
     todo = ""
     if faults:
         causes = set().union(*({"steps"} if fault.unresolved else fault.response.causes for fault in faults))
-        todo = f"{advice(simulated, max(fault.need for fault in faults), causes)}, and the search again"
+        todo = f"{advice(simulated, max(fault.need for fault in faults), causes)}, then the search again"
     answers = tuple(response.answer for response in responses)
     return Verification(answers, changes[0], changes[1], tuple(fault.text for fault in faults), todo, tuple(notes))
 
@@ -349,7 +349,10 @@ def _faults_of_constraints(responses: Sequence[_Response], lane: int) -> list[_F
         if response.reasons[lane] and not response.certain[lane]:
             faults.append(_Fault(f"{name} is not resolved: {response.reasons[lane]}", response, _UNRESOLVED, True))
         elif not share <= 1.0:
-            text = f"{name} is beyond its limit by {100.0 * beyond:.3g} % in the finer model"
+            text = (
+                f"{name} is beyond its limit by {100.0 * beyond:.3g} % in the finer model, "
+                f"and at most {100.0 * beyond / share:.3g} % is accepted"
+            )
             faults.append(_Fault(text, response, share if math.isfinite(share) else _UNRESOLVED))
     return faults
 
@@ -380,17 +383,19 @@ def _faults_of_gain(objective: _Response, claimed: bool) -> list[_Fault]:
     need = error / (GAIN * size) if size else _UNRESOLVED
     if not claimed:
         text = (
-            f"the objective of the best design has an error of {error:.3g}, more than {GAIN:g} of its size {size:.3g}"
+            f"the objective of the best design has an error of {error:.3g}, "
+            f"more than {100.0 * GAIN:g} % of its size {size:.3g}"
         )
         return [_Fault(text, objective, need)]
     shares = [100.0 * g / abs(f) if f else math.inf for g, f in ((gain, first), (finer, finer_first))]
-    return [
-        _Fault(
-            f"the gain of {gain:.4g} ({shares[0]:.4g} %) is {finer:.4g} ({shares[1]:.4g} %) in the finer model",
-            objective,
-            need,
-        )
-    ]
+    change = (
+        f"; these differ by {100.0 * error / size:.3g} %, and at most {100.0 * GAIN:g} % is accepted" if size else ""
+    )
+    text = (
+        f"the objective improves by {gain:.4g} ({shares[0]:.4g} %), but by {finer:.4g} ({shares[1]:.4g} %) in the finer model"
+        f"{change}"
+    )
+    return [_Fault(text, objective, need)]
 
 
 def _faults_of_order(
@@ -424,7 +429,7 @@ def advice(problem: Problem, need: float, causes: Collection[str] = ()) -> str:
     """
     more = [text for cause, text in _MORE.items() if cause in causes]
     if more:
-        return ", ".join([*more, advice(problem, need)] if "steps" in causes else more)
+        return " and ".join([*more, advice(problem, need)] if "steps" in causes else more)
     steps = problem.steps
     if steps is None or problem.simulation.method in ADAPTIVE:
         return "tighter tolerances of the method (rtol, atol)"

@@ -237,4 +237,4 @@ def _reason(statuses: list[str], falls: Tensor, ratio: Tensor) -> str:
     if falls.all():
         return ""
     worst = ratio[~falls][0].item()
-    return f"half the step changes the error by a factor of {worst:.2g}, expected 4; use more steps"
+    return f"half the step divides the error by {worst:.2g}, but by about 4 if the steps are small enough"

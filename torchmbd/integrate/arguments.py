@@ -102,7 +102,8 @@ def check_phase_times(phases: Any, gradients: str, integrator: Integrator) -> No
             raise InputError(
                 (str(phase.name or number), key),
                 noun=f"{key} of phase {phase.name or number!r}",
-                state=f"= {x!r} is being differentiated, but forward tangents do not support this",
+                shown=repr(x),
+                state="is being differentiated, but forward tangents do not support this",
                 hint=f"gradients='reverse' or 'auto' with a one-step method, or {key}.detach()",
             )
 
@@ -127,10 +128,11 @@ def check_backend(backend: Any) -> None:
             "backend",
             backend,
             hint=" or ".join(map(repr, names)),
-            state=f"= {backend!r} cannot be used, because {absence}",
+            shown=repr(backend),
+            state=f"cannot be used, because {absence}",
         )
     if isinstance(backend, str) and backend not in names and (missing := BACKENDS.missing(backend)):
-        raise InputError("backend", backend, names, state=f"= {backend!r} does not exist, or {missing}")
+        raise InputError("backend", backend, names, shown=repr(backend), state=f"does not exist, or {missing}")
     one_of("backend", backend, names)
 
 

@@ -66,14 +66,18 @@ class Backend:
         return None
 
     def accelerations(self, dynamics: Dynamics, q: Any, v: Any) -> Tensor | None:
-        """Accelerations at the start of a motion, above their multipliers [n_v + rows, 1, lanes]; None: dynamics.py.
+        """Accelerations at the start of a motion, above their multipliers [n_v + rows, 1, lanes].
 
-        Differentiable; of coordinates with tangents the values alone.
+        Differentiable in reverse mode. If the coordinates have tangents, these are the values alone, `known` of
+        `Dynamics.accelerations`, which adds the tangents. None: `Dynamics.accelerations` computes them.
         """
         return None
 
     def third_rates(self, dynamics: Dynamics, weights: Weights, x: State, h: Any) -> Tensor | None:
-        """`known` of smooth_start.py at the start of a motion by steps of sizes h; None: it serves itself."""
+        """Values of jerk and d at the start of a motion by steps of sizes h, which are `known` of `smooth_start`.
+
+        [n_v + rows, 2, lanes]; None: `smooth_start` computes them.
+        """
         return None
 
     def threads(self, dynamics: Dynamics, work: Sequence[str]) -> int:

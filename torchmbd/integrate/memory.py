@@ -70,8 +70,8 @@ def require_memory(system: System, lanes: int, steps: int, tangents: int = 0, ad
     if most < 1:
         state = f"is too large, because one design takes {sizes}"
         raise InputError("system", system, "must have smaller meshes, or fewer modes or variables", state=state)
-    state, hint = f"= {steps} of one design take {sizes}", "checkpoint=100, which keeps every hundredth state only"
-    raise InputError("steps", steps, f"at most {rounded_down(most)}", hint, state=state)
+    state, hint = f"of one design take {sizes}", "checkpoint=100, which keeps every hundredth state only"
+    raise InputError("steps", steps, f"at most {rounded_down(most)}", hint, shown=str(steps), state=state)
 
 
 def lanes_at_once(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> int:

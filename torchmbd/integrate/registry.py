@@ -57,6 +57,6 @@ def integrator_of(method: Any, options: Mapping[str, Any], argument_names: Colle
     allowed = INTEGRATORS[method].option_types()
     for name in options:
         if name not in allowed:
-            state = f"= {options[name]!r} is not an option of method {method!r}"
-            raise InputError(name, options[name], [*allowed, *argument_names], state=state)
+            value, state = options[name], f"is not an option of method {method!r}"
+            raise InputError(name, value, [*allowed, *argument_names], shown=repr(value), state=state)
     return replace(INTEGRATORS[method], **options)

@@ -91,7 +91,8 @@ def smooth_start(
     h         sizes of regular steps [1 + n, lanes], over which the third rates are found from positions
     closed    x solves the constraints with their rates and has the accelerations of its forces: at the start of a motion
     solver    of these accelerations, where there is one
-    known     jerk and d, each above its multipliers [n_v + rows, 2, lanes], where they are; of tangents their values
+    known     values of jerk and d by the compiled start, each above its multipliers [n_v + rows, 2, lanes]; None: they are
+              computed here. Both modes of gradients take them, so both begin with the same numbers
     """
     lag, scales = start_weights(weights)
     if known is not None and not isinstance(x.q, Pair):
@@ -103,11 +104,11 @@ def smooth_start(
 
         def third_rates(data: Data, at: Placement, q: Any, v: Any, vd: Any, h: Any) -> tuple:
             end = equations.placement(T, data, equations.advance(T, q, h * v), at_own_times(T, t[None] + h, data))
-            known = equations.constraints(T, at)
+            here = equations.constraints(T, at)
             if not closed:  # what a step leaves of the rates is no third rate
                 phi = equations.constraint_jets(T, at, data, v, vd, t)
-                known = known + h * phi.velocity + (0.5 * h * h) * phi.acceleration
-            return third_rates_of_constraints(T, data, end, known, v, vd, h)
+                here = here + h * phi.velocity + (0.5 * h * h) * phi.acceleration
+            return third_rates_of_constraints(T, data, end, here, v, vd, h)
 
         solver_there = solver or SaddleSolver(dynamics, t, q)
         return tuple(solver_there.along_constraints(third_rates, scales, (v, vd, h), known))
@@ -126,14 +127,14 @@ def start_weights(weights: Weights) -> tuple[float, tuple[tuple[float, float], t
     return lag, ((1.0, 1.0), (rest + 1.0 / 12.0, rest))
 
 
-def third_rates_of_constraints(T: Topology, data: Data, end: Placement, known: Any, v: Any, vd: Any, h: Any) -> tuple:
+def third_rates_of_constraints(T: Topology, data: Data, end: Placement, here: Any, v: Any, vd: Any, h: Any) -> tuple:
     """om x om' as rates [n_v, ...], and Phi_q (v'' - om x om') [rows, ...].
 
     end     placement at q o exp(h v), t + h
-    known   Phi + h Phi' + h^2/2 Phi'' [rows, ...]
+    here    Phi + h Phi' + h^2/2 Phi'' [rows, ...]
     """
     by_vd = (3.0 * reciprocal(h)) * equations.constraint_changes(T, end, data, vd)
-    third = (6.0 * reciprocal(h * h * h)) * (known - equations.constraints(T, end)) - by_vd
+    third = (6.0 * reciprocal(h * h * h)) * (here - equations.constraints(T, end)) - by_vd
     return _turning(T, v, vd), third
 
 

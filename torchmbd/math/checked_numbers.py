@@ -16,9 +16,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError, Path
-from torchmbd.math.gradients import refuse_gradients
-
-_COMPUTED = "p = x.detach() and then x.backward(p.grad) with the gradient of the parameter p that is made of it"
+from torchmbd.math.gradients import double_precision, refuse_gradients
 
 
 def reals(name: str | Path, value: ArrayLike | Tensor) -> Tensor:
@@ -102,12 +100,9 @@ def list_of(name: str | Path, value: Any, kinds: type | tuple[type, ...], allowe
 def parameter(name: str | Path, value: ArrayLike | Tensor) -> nn.Parameter:
     """The parameter `value`, or a new one of numbers of any shape; InputError for a computed tensor with a gradient."""
     if not isinstance(value, nn.Parameter):
-        refuse_gradients(
-            name, value, "numbers; a torch.nn.Parameter, registered as it is; of a computed x, " + _COMPUTED
-        )
+        refuse_gradients(name, value, "numbers, or a torch.nn.Parameter", parameter=True)
         return nn.Parameter(reals(name, value))
-    if value.dtype != torch.float64:
-        raise InputError(name, allowed="torch.float64", state=f"is a Parameter of {value.dtype}")
+    double_precision(name, value)
     return value
 
 

@@ -34,6 +34,12 @@ _VARIABLE_KINDS = {
     "Varying": "numbers, or a torch.nn.Parameter such as mbd.variable(...)",
     "Angles": "numbers, or a torch.nn.Parameter",
 }
+_PARAMETER_KINDS = ("Varying", "Angles")  # of which a Parameter may have any shape
+_OF_CONSTANTS = "x.detach() in place of the tensor x, which makes a constant of it"
+_OF_COMPUTED = (
+    "p = torch.nn.Parameter(x.detach()) in place of the tensor x. After the backward pass of the model, x.backward(p.grad) "
+    "gives the gradients of the numbers from which x was computed"
+)
 _CONTAINERS = (list, tuple, set, frozenset)
 
 
@@ -89,12 +95,15 @@ def all_true(x: Tensor) -> bool:
     return bool(untransformed(x).all())
 
 
-def refuse_gradients(name: str | Path, value: Any, allowed: str = "numbers") -> None:
-    """InputError if a number, or one of a list or mapping of numbers, is being differentiated."""
+def refuse_gradients(name: str | Path, value: Any, allowed: str = "numbers", *, parameter: bool = False) -> None:
+    """InputError if a number, or one of a list or mapping of numbers, is being differentiated.
+
+    parameter  True: the argument can be one torch.nn.Parameter, which is checked elsewhere; the remedy names it
+    """
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, _CONTAINERS):
-        if "torch.nn.Parameter" in allowed and any(isinstance(x, nn.Parameter) for x in value):
+        if parameter and any(isinstance(x, nn.Parameter) for x in value):
             numbers = ", ".join(
                 f"{float(x.detach() if isinstance(x, Tensor) else x):g}" if _number(x) else "..." for x in value
             )
@@ -106,10 +115,17 @@ def refuse_gradients(name: str | Path, value: Any, allowed: str = "numbers") -> 
                 state="is a list that contains parameters",
             )
         for x in value:
-            refuse_gradients(name, x, allowed)
+            refuse_gradients(name, x, allowed, parameter=parameter)
     elif carries_gradient(value):
-        state = "has a gradient, which torchmbd cannot use here"
-        raise InputError(name, value, allowed, "x.detach()", state=state)
+        state = "has a gradient, which the model would lose"
+        raise InputError(name, value, allowed, _OF_COMPUTED if parameter else _OF_CONSTANTS, state=state)
+
+
+def double_precision(name: str | Path, x: nn.Parameter) -> None:
+    """InputError unless a parameter has the type of torchmbd's numbers, float64."""
+    if x.dtype != torch.float64:
+        hint = "dtype=torch.float64 for the tensor of the Parameter"
+        raise InputError(name, allowed="torch.float64", hint=hint, state=f"is a Parameter of {x.dtype}")
 
 
 def refuse_derivatives(name: str | Path, x: Tensor, instead: str) -> None:
@@ -136,10 +152,12 @@ def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
         if any(isinstance(x, (Tensor, Mapping, *_CONTAINERS)) for x in (*args, *kwargs.values())):
             for name, x in signature.bind(*args, **kwargs).arguments.items():
-                allowed = _VARIABLE_KINDS.get(kinds[name])
-                parameter = isinstance(x, nn.Parameter) and x.dtype == torch.float64
-                if allowed is None or not (is_variable(x) or ("torch.nn" in allowed and parameter)):
-                    refuse_gradients((f.__qualname__.removesuffix(".__init__"), name), x, allowed or "numbers")
+                allowed, parameter = _VARIABLE_KINDS.get(kinds[name]), kinds[name] in _PARAMETER_KINDS
+                path = (f.__qualname__.removesuffix(".__init__"), name)
+                if parameter and isinstance(x, nn.Parameter):
+                    double_precision(path, x)
+                elif allowed is None or not is_variable(x):
+                    refuse_gradients(path, x, allowed or "numbers", parameter=parameter)
         values = signature.bind_partial(*args, **kwargs).arguments
         for name in floats.intersection(values):
             if not _number(values[name]):

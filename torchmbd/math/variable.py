@@ -75,8 +75,8 @@ def check_positive(numbers: Any, unit: str = "", infinite: bool = False) -> None
         value = number(getattr(numbers, name))
         if not (is_real(value) and value > 0.0 and (infinite or math.isfinite(value))):
             allowed = "a number > 0" if infinite else "a finite number > 0"
-            noun, shown = f"{type(numbers).__name__}: {name}", f"= {value!r}{unit}"
-            raise InputError(name, value, f"{allowed}, or mbd.variable(...) of one", noun=noun, state=shown)
+            noun, shown = f"{type(numbers).__name__}: {name}", f"{value!r}{unit}"
+            raise InputError(name, value, f"{allowed}, or mbd.variable(...) of one", noun=noun, shown=shown)
 
 
 def stacked(numbers: Sequence[Any]) -> Tensor:

@@ -158,5 +158,5 @@ def with_many_failures(result: OptimizationResult) -> OptimizationResult:
     """The result with the status "many_failures" where more than a tenth of its evaluations failed."""
     if not result.failing_text or result.status in ENDED:
         return result
-    message = f"{result.failing_text}; else {result.status.replace('_', ' ')}: {result.message}"
+    message = f"{result.failing_text}; apart from this, {result.status.replace('_', ' ')}: {result.message}"
     return replace(result, status="many_failures", message=message)

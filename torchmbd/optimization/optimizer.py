@@ -280,7 +280,10 @@ class OptimizationResult(Summary):
     def search_text(self) -> str:
         """How the search ended, whether its design is better than the start, and how many evaluations failed."""
         ending = "converged" if self.converged else f"not converged ({self.status}: {self.message})"
-        return f"{ending}; {self.gain_text}; {failures_text(self.analyses, self.reasons)}"
+        failures = (
+            [] if self.status == "many_failures" else [failures_text(self.analyses, self.reasons)]
+        )  # in the message
+        return "; ".join([ending, self.gain_text, *failures])
 
     @property
     def failing_text(self) -> str:
@@ -355,8 +358,8 @@ def find_method(name: str, options: dict[str, Any], arguments: Iterable[str] = (
     allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
     for option in options:
         if option not in allowed:
-            state = f"= {options[option]!r} is not an option of method {name!r}"
-            raise InputError(option, options[option], [*allowed, *arguments], state=state)
+            value, state = options[option], f"is not an option of method {name!r}"
+            raise InputError(option, value, [*allowed, *arguments], shown=repr(value), state=state)
     return method
 
 

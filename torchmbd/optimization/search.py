@@ -124,7 +124,8 @@ class Search:
                 "method",
                 method,
                 allowed="a method that takes equalities",
-                state=f"= {method!r} takes inequalities alone, but constraints {self.equalities.tolist()} are equalities",
+                shown=repr(method),
+                state=f"takes inequalities alone, but constraints {self.equalities.tolist()} are equalities",
                 hint="method='slsqp', or two opposite inequalities with a tolerance for each",
             )
 

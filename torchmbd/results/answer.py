@@ -115,7 +115,7 @@ class Verification(Summary):
         """`verified: ...`, `not verified: ...` with what to do, or `many evaluations failed: ...`; then what the search did."""
         search = f". Search: {self.search}" if self.search else ""
         if self.faults:
-            advice = f". Allowed: {self.advice}" if self.advice else ""
+            advice = f". Try: {self.advice}" if self.advice else ""
             return f"{NOT_VERIFIED}: {'; '.join(self.faults)}{advice}{search}"
         change = f"the objective changed by {self.change:z.2f} %, in a finer model by {self.finer:z.2f} %"
         if self.failing:

@@ -5,6 +5,7 @@ Checked in tests/integrate/test_simulate.py, tests/integrate/test_motion.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -42,7 +43,7 @@ def has_failed(status: str) -> bool:
     return status.startswith("failed")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Moment:
     """The state of all lanes on one side of a switch [lanes, n], with sensitivities [lanes, n, n_b]."""
 
@@ -54,6 +55,10 @@ class Moment:
     dv_db: Tensor | None = None
     da_db: Tensor | None = None
     dlam_db: Tensor | None = None
+
+    def __repr__(self) -> str:
+        given = [(f.name, getattr(self, f.name)) for f in fields(self)]
+        return f"Moment({', '.join(f'{name} {list(x.shape)}' for name, x in given if x is not None)})"
 
     def detach(self) -> Moment:
         """The same numbers without a graph of torch."""
@@ -71,7 +76,7 @@ class Moment:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Switch:
     """The switch of all lanes into a phase; sensitivities follow the time of the switch, which moves with the design.
 
@@ -86,6 +91,11 @@ class Switch:
     before: Moment
     after: Moment
     dt_db: Tensor | None = None
+
+    def __repr__(self) -> str:
+        """The phase that begins, and when: of a list of switches one line each."""
+        times = few([f"{t:.6g} s" if math.isfinite(t) else "never" for t in self.t.tolist()])
+        return f"Switch({self.phase!r} begins at t = {times})"
 
     def detach(self) -> Switch:
         """The same numbers without a graph of torch."""

@@ -239,7 +239,7 @@ def _no_design_reason(outcome: MultistartResult, study: StudySettings) -> str:
     more = "a larger max_time, with which the same command goes on" if late else "more iterations"
     return (
         f"no start ended with all constraints satisfied. The nearest is start {near.start}: {name!r} is beyond its limit by "
-        f"{near.violation:.3g} (a share of the limit). Allowed: {more}, other starts, another limit"
+        f"{near.violation:.3g} (a share of the limit). Try: {more}, other starts, another limit"
     )
 
 

@@ -61,7 +61,8 @@ def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
             chosen,
             "the whole URI",
             hint="MLFLOW_TRACKING_URI",
-            state=f"= {chosen!r} has {MASK}, which hides a part of the URI",
+            shown=repr(chosen),
+            state=f"has {MASK}, which hides a part of the URI",
         )
     if chosen.file is None:
         return chosen
@@ -70,8 +71,8 @@ def store_uri(uri: str | StoreURI | None = None) -> StoreURI:
         raise InputError(
             name,
             utf8(str(chosen)),
-            state=f"= {utf8(str(chosen))!r} has the name {utf8(paths[0])!r}, which cannot be written in the "
-            "encoding of this locale, "
+            shown=repr(utf8(str(chosen))),
+            state=f"has the name {utf8(paths[0])!r}, which cannot be written in the encoding of this locale, "
             f"{sys.getfilesystemencoding()}",
             hint="PYTHONUTF8=1, or a locale of UTF-8",
         )

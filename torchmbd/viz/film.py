@@ -48,7 +48,11 @@ def film(
         raise InputError("path", str(path), f"a name that ends in {' or '.join(_WRITERS)}")
     if not writers.is_available(_WRITERS[path.suffix]):
         raise InputError(
-            "path", str(path), ".gif", state=f"= {str(path)!r} needs {_WRITERS[path.suffix]}, which is not installed"
+            "path",
+            str(path),
+            ".gif",
+            shown=repr(str(path)),
+            state=f"needs {_WRITERS[path.suffix]}, which is not installed",
         )
     require_motion(motion)
     require_lane(motion, lane)
@@ -58,7 +62,8 @@ def film(
             "seconds",
             seconds,
             "must give at least two frames",
-            state=f"= {seconds} at {frames_per_second} frames per second gives {count}",
+            shown=str(seconds),
+            state=f"at {frames_per_second} frames per second gives {count}",
         )
     t = motion.t.detach().numpy()
     frames = np.interp(np.linspace(t[0], t[-1], count), t, np.arange(len(t))).round().astype(int)  # nearest times

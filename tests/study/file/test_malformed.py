@@ -24,7 +24,7 @@ TEXT = Path(__file__).parents[1].joinpath("study.yaml").read_text()
 CASES = [
     ("model: rod_model.py:build", "model: rod_model.py", "model", "must be package.module:function"),
     ("model: rod_model.py:build", "model: rod_model.py:bild", "model", "Try: 'build'"),
-    ("model: rod_model.py:build\noptions: {layers: 2}", "model: rod_model.py:broken", "options", "ZeroDivisionError"),
+    ("model: rod_model.py:build\noptions: {layers: 2}", "model: rod_model.py:broken", "model", "ZeroDivisionError"),
     ("model: rod_model.py:build", "model: nowhere.py:build", "model", "does not exist"),
     ("model: rod_model.py:build", "model: no.where:build", "model", "cannot be imported"),
     ("model: rod_model.py:build", "model: 7", "model = 7", "string"),

@@ -17,7 +17,7 @@ Checked in tests/extensions/buckling/test_buckling.py, tests/extensions/buckling
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -34,9 +34,11 @@ from torchmbd.math.gradients import all_true
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.statics.supported_body import SupportedBody, Supports
+from torchmbd.summary import Summary, few
 
 
-class BucklingModes(NamedTuple):
+@dataclass(frozen=True, eq=False, repr=False)
+class BucklingModes(Summary):
     """The result of `linear_buckling`.
 
     factors        buckling factors of the loads [*lanes, number] [-], ascending; inf if the body does not have another
@@ -57,6 +59,13 @@ class BucklingModes(NamedTuple):
     shapes: Float[Tensor, "*lanes nodes 6 number"]
     displacements: Float[Tensor, "*lanes nodes 6"]
     status: str
+
+    def _summary(self) -> list[tuple[str, str]]:
+        first = self.factors.reshape(-1, self.factors.shape[-1])[0].tolist()
+        *lanes, _, _ = self.displacements.shape
+        of = "of the first lane " if lanes else ""
+        sizes = [(name, f"tensor {list(getattr(self, name).shape)}") for name in ("shapes", "displacements")]
+        return [("status", self.status), ("factors", f"{of}{few([f'{x:.4g}' for x in first])}"), *sizes]
 
 
 def linear_buckling(

@@ -55,7 +55,7 @@ class BucklingFactor(Measure):
 
     unit: ClassVar[str] = ""
     infinite_note: ClassVar[str] = (
-        "the loads only stiffen the body. Allowed: no such constraint, or for the loads of the motion a limit on "
+        "the loads only stiffen the body. Try: no such constraint, or for the loads of the motion a limit on "
         "mbd.Max(mbd.buckling.BucklingIndex(...)), which is zero there"
     )
     body: str

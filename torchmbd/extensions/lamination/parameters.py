@@ -130,8 +130,8 @@ class LaminationParameters(Laminate):
                     self.membrane.tolist(),
                     "lamination parameters of a stack of plies",
                     noun="LaminationParameters: membrane",
-                    state=f"= {self.membrane.tolist()} and the other parameters have a stiffness that is not positive "
-                    "definite",
+                    shown=str(self.membrane.tolist()),
+                    state="and the other parameters have a stiffness that is not positive definite",
                 )
 
     def sets(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -268,7 +268,7 @@ def _thickness(thickness: float | Tensor, field: FiberField | None) -> nn.Parame
             h.tolist(),
             "finite numbers > 0",
             noun="LaminationParameters: thickness",
-            state=f"= {h.tolist()!r} m",
+            shown=f"{h.tolist()!r} m",
         )
     warn_unusual("LaminationParameters: thickness", float(h.detach().max()), "m", THICKNESS)
     return h

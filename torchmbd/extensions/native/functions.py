@@ -401,8 +401,8 @@ def _start(kind: Kind) -> str:
         def along(z: Any) -> Any:
             placed = of.placement(data, q)
             end = equations.placement(T, data, equations.advance(T, q, h * v), of.known(laws, of.prescribed.t + h))
-            known = equations.constraints(T, placed)
-            turning, third = third_rates_of_constraints(T, data, end, known, v, vd, h)
+            here = equations.constraints(T, placed)
+            turning, third = third_rates_of_constraints(T, data, end, here, v, vd, h)
             return equations.along_constraints(T, data, placed, z, by_turning * turning, by_third * third)
 
         s.module.values = {

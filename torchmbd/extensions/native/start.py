@@ -1,8 +1,9 @@
 """The start of motions by compiled code (start.cpp): accelerations and the smooth start of smooth_start.py, with derivatives in
-reverse mode. The same numbers as by operators of torch.
+reverse mode.
 
-These add tangents to the numbers. They serve where a drive or the duration has design variables, where laws are called back or
-no joints are there, and where the factors cannot be relied on.
+In forward mode the operators of torch take these values as `known` and add the tangents, so both modes of gradients begin with
+the same numbers. The operators of torch compute the start alone if a drive or the duration has design variables, if laws are
+called back, if there are no joints, and if the factors cannot be relied on.
 Checked in tests/extensions/native/test_start.py.
 """
 
@@ -67,7 +68,10 @@ def accelerations(dynamics: Dynamics, q: Any, v: Any) -> Tensor | None:
 
 
 def third_rates(dynamics: Dynamics, weights: Weights, x: State, h: Any) -> Tensor | None:
-    """`known` of smooth_start.py at t = 0 for steps of one size; None: there is no such code."""
+    """Values of jerk and d of `smooth_start` at t = 0 for steps of one size [n_v + rows, 2, lanes].
+
+    None: there is no such code.
+    """
     if is_differentiated(value(h)) or not has_start(dynamics) or (code := library(dynamics, "start")) is None:
         return None
     _, scales = start_weights(weights)

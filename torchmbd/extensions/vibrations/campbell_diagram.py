@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import scipy.optimize
 import torch
@@ -33,12 +33,15 @@ from torchmbd.multibody.equilibrium.equilibrium import SPIN
 from torchmbd.multibody.equilibrium.linearized import Linearization
 from torchmbd.multibody.equilibrium.steady_rotation import TURNING
 from torchmbd.multibody.system import System
+from torchmbd.summary import Summary
 
 TIE = 1e-2  # of MAC, that decides between shapes alike: a pole and its conjugate at rest
+_SHOWN = 12  # vibrations that a summary lists
 LOST = 0.4  # MAC; at equal frequencies the shapes of a round shaft at rest and in rotation have 0.5
 
 
-class CampbellDiagram(NamedTuple):
+@dataclass(frozen=True, eq=False, repr=False)
+class CampbellDiagram(Summary):
     """The result of `campbell`, for each design and speed; nan where a vibration is lost.
 
     speeds          [k] [rad/s]
@@ -60,6 +63,18 @@ class CampbellDiagram(NamedTuple):
     poles: Complex[Tensor, "designs k n"]
     status: list[str]
     whirl: Int[Tensor, "designs k n"]
+
+    def _summary(self) -> list[tuple[str, str]]:
+        designs, count, n = self.frequencies.shape
+        speeds, f = self.speeds.tolist(), self.frequencies.detach()
+        rows = [("status", "; ".join(self.status)), ("speeds", f"{count}, {speeds[0]:.4g} to {speeds[-1]:.4g} rad/s")]
+        rows += [("designs", f"{designs}; the frequencies of the first one follow")] if designs > 1 else []
+        shown = range(min(n, _SHOWN))
+        rows += [(f"vibration {i + 1}", f"{float(f[0, 0, i]):.4g} to {float(f[0, -1, i]):.4g} Hz") for i in shown]
+        more = (
+            f"frequencies, damping_ratios, poles, whirl: tensors [designs, speeds, vibrations] = {[designs, count, n]}"
+        )
+        return [*rows, ("numbers", more)]
 
 
 def campbell(

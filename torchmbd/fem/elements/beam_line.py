@@ -166,7 +166,7 @@ class BeamLine:
         length   [m]; mbd.variable(...) is a design variable of the body, "rod.line.length"
         """
         if not 0.0 < number(length) < float("inf"):
-            raise InputError("length", length, "a finite number > 0", noun="BeamLine: length", state=f"= {length!r} m")
+            raise InputError("length", length, "a finite number > 0", noun="BeamLine: length", shown=f"{length!r} m")
         if not is_whole(elements) or elements < 1:
             raise InputError("elements", elements, "an integer >= 1", noun="BeamLine: elements")
         d = np.asarray(direction, dtype=float)
@@ -191,9 +191,9 @@ class BeamLine:
         angle    from the first tangent to the last [rad], less than a whole turn; an element takes half a turn at most
         """
         if not 0.0 < radius < float("inf"):
-            raise InputError("radius", radius, "a finite number > 0", noun="BeamLine: radius", state=f"= {radius!r} m")
+            raise InputError("radius", radius, "a finite number > 0", noun="BeamLine: radius", shown=f"{radius!r} m")
         if not 0.0 < angle < 2.0 * np.pi:
-            raise InputError("angle", angle, "0 to 2 pi", noun="BeamLine: angle", state=f"= {angle!r} rad")
+            raise InputError("angle", angle, "0 to 2 pi", noun="BeamLine: angle", shown=f"{angle!r} rad")
         if not is_whole(elements) or elements < 1 or angle > np.pi * elements:
             raise InputError(
                 "elements",

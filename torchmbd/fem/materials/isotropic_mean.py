@@ -56,7 +56,7 @@ class IsotropicMean:
                 self.shear_length,
                 "a finite number > 0",
                 noun="IsotropicMean: shear_length",
-                state=f"= {self.shear_length!r} m",
+                shown=f"{self.shear_length!r} m",
             )
         if not self.bending_length > 0.0:
             raise InputError(
@@ -64,7 +64,7 @@ class IsotropicMean:
                 self.bending_length,
                 "a number > 0",
                 noun="IsotropicMean: bending_length",
-                state=f"= {self.bending_length!r} m",
+                shown=f"{self.bending_length!r} m",
             )
 
     @property

@@ -63,7 +63,7 @@ def checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) 
     for k, value in enumerate(t.tolist()):
         if not 0.0 < value < float("inf"):
             noun = f"Laminate: thickness[{k}]"
-            raise InputError(("thickness", k), value, "a finite number > 0", noun=noun, state=f"= {value!r} m")
+            raise InputError(("thickness", k), value, "a finite number > 0", noun=noun, shown=f"{value!r} m")
     warn_unusual("Laminate: thickness", float(t.detach().max()), "m", THICKNESS)
     return t
 

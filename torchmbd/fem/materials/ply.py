@@ -126,7 +126,8 @@ class Ply(Lamina):
                 nu12,
                 f"below sqrt(E1 / E2) = {limit:.6g} in magnitude",
                 noun="Ply: nu12",
-                state=f"= {nu12!r} makes the ply stiffness not positive definite",
+                shown=repr(nu12),
+                state="makes the ply stiffness not positive definite",
             )
         if not (self.strength is None or isinstance(self.strength, Strength)):
             raise InputError("strength", self.strength, "a Strength, or None", noun="Ply: strength")

@@ -52,7 +52,8 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
             cells,
             f"must have at most {MOST_NODES:,} nodes",
             noun="rectangle: cells",
-            state=f"= {cells!r} have {(nx + 1) * (ny + 1):,} nodes",
+            shown=repr(cells),
+            state=f"have {(nx + 1) * (ny + 1):,} nodes",
         )
     i, j = (a.ravel() for a in np.meshgrid(np.arange(nx + 1), np.arange(ny + 1), indexing="ij"))
     node = (i * (ny + 1) + j if nx >= ny else j * (nx + 1) + i).reshape(nx + 1, ny + 1)

@@ -126,9 +126,8 @@ def root(layout: Layout, form: Form, values: Tensor) -> Root:
             return DiagonalRoot(layout.order, values)
         return SparseRoot(layout, layout.values(form, values))
     except IndefiniteLane as error:
-        lane = error.args[0]
-        row = _loosest(layout, form, values[lane : lane + 1])
-        raise Indefinite("M", lane_name(lane, len(values)), NO_INERTIA, row) from None
+        row = _loosest(layout, form, values[error.lane : error.lane + 1])
+        raise Indefinite("M", lane_name(error.lane, len(values)), NO_INERTIA, row) from None
 
 
 def _loosest(layout: Layout, form: Form, A: Tensor) -> int:

@@ -44,7 +44,11 @@ NO_INERTIA = "lets something move without inertia, or against it"
 
 
 class IndefiniteLane(Exception):
-    """A factorization of a lane, its only argument, breaks down."""
+    """The factorization of a lane breaks down."""
+
+    def __init__(self, lane: int):
+        super().__init__(lane)
+        self.lane = lane
 
 
 @dataclass(frozen=True)

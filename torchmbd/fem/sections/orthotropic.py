@@ -71,8 +71,8 @@ class Orthotropic:
                 "must have |nu_ij| < sqrt(E_i / E_j), and a positive determinant of the 3 x 3 "
                 "compliance of the normal stresses",
                 noun="Orthotropic: nu12",
-                state=f"= {numbers.nu12!r}, nu13 = {numbers.nu13!r}, nu23 = {numbers.nu23!r} make the "
-                "compliance not positive definite",
+                shown=f"{numbers.nu12!r}, nu13 = {numbers.nu13!r}, nu23 = {numbers.nu23!r}",
+                state="make the compliance not positive definite",
             )
         moduli = {name: getattr(numbers, name) for name in ("E1", "E2", "E3", "G12", "G13", "G23")}
         warn_unusual_material("Orthotropic", moduli, numbers.density, numbers.strength.Xt if numbers.strength else None)

@@ -57,7 +57,7 @@ def require_memory(name: str, nodes: int, parts: Iterable[Part], modes: Any, kep
     sizes = f"take about {bytes_text(needed)} of memory, of which {bytes_text(free)} are available"
     if fitting >= 6 * kept + few:
         allowed = f"at most {rounded_down(fitting - 6 * kept)}"
-        raise InputError((name, "modes"), modes, allowed, state=f"= {modes} {sizes}")
+        raise InputError((name, "modes"), modes, allowed, shown=str(modes), state=sizes)
     if kept and fitting >= 6 + few:
         allowed = f"must have at most {rounded_down((fitting - few) // 6)}"
         raise InputError((name, "interface"), allowed=allowed, state=f"has {kept} nodes, whose shapes {sizes}")

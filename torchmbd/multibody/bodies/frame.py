@@ -140,6 +140,8 @@ def frame_at(body: Any, coordinates: Sequence[Any], axes: Sequence | Tensor | No
     Coordinates and components of the rotation vector may be design variables.
     """
     allowed = "three finite numbers, or mbd.variable(...) of one"
+    if any(isinstance(x, (tuple, list)) or (isinstance(x, Tensor) and x.dim() > 0) for x in coordinates):
+        raise InputError((body.name, "point"), coordinates[0], allowed, "at(x, y, z), or at(*point) of a tuple")
     point, vector_of_turn = (
         _three_numbers(label, x, allowed)
         for label, x in (((body.name, "point"), coordinates), ((body.name, "turn"), turn))
@@ -154,8 +156,6 @@ def frame_at(body: Any, coordinates: Sequence[Any], axes: Sequence | Tensor | No
 def _three_numbers(name: Path, x: Any, allowed: str) -> Tensor:
     if not isinstance(x, (tuple, list, Tensor)) or len(x) != 3:
         raise InputError(name, x, allowed)
-    if name[-1] == "point" and any(isinstance(y, (tuple, list)) or (isinstance(y, Tensor) and y.dim() > 0) for y in x):
-        raise InputError(name, x[0], allowed, "at(x, y, z), or at(*point) of a tuple")
     result = read_numbers(name, [number(y) for y in x], allowed)
     if result.shape != (3,) or not bool(torch.isfinite(result).all()):
         raise InputError(name, x, allowed)

@@ -291,7 +291,7 @@ class MatrixStructure:
         if implausible:
             warn(
                 f"units of body {self.name!r}? It is {size:.3g} m long, weighs {mass:.3g} kg, and its first frequency "
-                f"is {first:.3g} Hz. Allowed: m, kg, s, N"
+                f"is {first:.3g} Hz. Try: matrices in m, kg, s, N"
             )
 
 

@@ -94,7 +94,7 @@ class ReducedStructure:
             raise InputError(
                 (self.name, key),
                 allowed="symmetric to 1e-9",
-                state=f"= {A.tolist()}",
+                shown=str(A.tolist()),
             )
         return 0.5 * (A + A.T)
 

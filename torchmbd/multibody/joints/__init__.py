@@ -18,19 +18,18 @@ from torchmbd.multibody.joints.universal import Universal
 JOINTS: dict[str, type[Joint]] = {
     kind.__name__.lower(): kind
     for kind in (
-        *(
-            Cylindrical,
-            DistanceJoint,
-            Drive,
-            Fixed,
-            JointCoupling,
-            Planar,
-            PointOnCurve,
-            PointOnPlane,
-            Prismatic,
-            Revolute,
-        ),
-        *(Spherical, Universal),
+        Cylindrical,
+        DistanceJoint,
+        Drive,
+        Fixed,
+        JointCoupling,
+        Planar,
+        PointOnCurve,
+        PointOnPlane,
+        Prismatic,
+        Revolute,
+        Spherical,
+        Universal,
     )
 }
 

@@ -3,10 +3,10 @@
     gap      |Phi| of a joint at the given positions, over its rows that are lengths [m] and over those that are sines of
              angles [rad];
              of a coupling the smallest travel [m], or angle [rad], of one of its joints that closes it: |Phi| / max |c_i|
-    distance of a body: the farthest way of its origin and of the points on it that joints and forces have [m]
-    angle    of its rotation [rad]; with full turns if a coupling counts the angle of its joint to the ground
+    distance the farthest way of a body's origin and of its points that joints and forces have [m]
+    angle    of the body's rotation [rad]; with full turns if a coupling counts the angle of its joint to the ground
 
-Elastic displacements that bodies were given count as none in a gap: that joints follow a bent body is what was asked for.
+A gap does not count the elastic displacements that bodies were given, because joints are meant to follow a bent body.
 Source of the limit of the warning: positions are typed with three digits or more, so a share of 1e-3 of the size of the
 mechanism (the diagonal of the box about all points and origins), or 1e-3 rad, is rounding, and more is a mistake.
 Checked in tests/multibody/start/test_closing.py.
@@ -29,7 +29,7 @@ from torchmbd.multibody.joints.relation import Relation
 
 _FAR = 1e-3  # share of the size of the mechanism [-], angle [rad]: see the header
 _SMALLEST = EXTENT[0]  # [m] size of a mechanism: points that all lie at one place differ by rounding
-_ROUNDING = 1e-9  # the same below which nothing is listed
+_ROUNDING = 1e-9  # lengths as shares of this size, and angles [rad], that are not listed
 _SHOWN = 4  # joints, and bodies, in a warning
 
 

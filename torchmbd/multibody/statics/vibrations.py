@@ -13,8 +13,7 @@ Checked in tests/multibody/statics/test_vibrations.py, tests/validation/test_vib
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 from jaxtyping import Float
 from torch import Tensor
@@ -29,12 +28,14 @@ from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.reduced import matrices
 from torchmbd.multibody.statics.supported_body import SupportedBody, Supports
+from torchmbd.summary import Summary, few
 
 RIGID_MOTIONS = 6  # of a free body
 ZERO = 1e-12  # stiffness of a shape over the sum of the sizes of its terms; rounding leaves 1e-16 to 5e-13, as was measured
 
 
-class NaturalModes(NamedTuple):
+@dataclass(frozen=True, eq=False, repr=False)
+class NaturalModes(Summary):
     """The result of `natural_frequencies`.
 
     frequencies  [*lanes, number] [Hz], ascending
@@ -51,6 +52,13 @@ class NaturalModes(NamedTuple):
     frequencies: Float[Tensor, "*lanes number"]
     shapes: Float[Tensor, "*lanes nodes 6 number"]
     status: str
+
+    def _summary(self) -> list[tuple[str, str]]:
+        first = self.frequencies.reshape(-1, self.frequencies.shape[-1])[0].tolist()
+        *lanes, _, _, _ = self.shapes.shape
+        of = "of the first lane " if lanes else ""
+        listed = f"{of}{few([f'{f:.4g}' for f in first])} Hz"
+        return [("status", self.status), ("frequencies", listed), ("shapes", f"tensor {list(self.shapes.shape)}")]
 
 
 def natural_frequencies(body: FlexibleBody, supports: Supports | None = None, number: int = 1) -> NaturalModes:

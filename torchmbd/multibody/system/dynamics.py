@@ -270,7 +270,8 @@ class Dynamics:
     def accelerations(self, t: Tensor, q, v, solver: SaddleSolver | None = None, known: Tensor | None = None):
         """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30).
 
-        solver   at q and t, where there is one;  known: the values of both, one above the other, where they are
+        solver   at q and t, where there is one
+        known    values of both by the compiled start, one above the other [n_v + rows, 1, lanes]; None: they are computed here
         """
         T = self.topology
 
@@ -308,7 +309,10 @@ class SaddleSolver:
             self.factors = dynamics.saddle.factors(self.plain, self.fixed, dynamics.diagonal())
 
     def __call__(self, residual: Callable[..., Any], *arguments: Any, known: Tensor | None = None) -> Any:
-        """x [n_v + rows, ...] with residual(data, placement, q, *arguments, x) = 0; known: its values, where they are.
+        """x [n_v + rows, ...] with residual(data, placement, q, *arguments, x) = 0.
+
+        known    values of x by the compiled start, to which derivatives are added; None: they are computed here. So both modes
+                 of gradients begin with the same numbers
 
         The residual is linear in x, and its matrix is the saddle-point matrix. Differentiable in every mode: derivatives of x
         are solutions with the same matrix and the derivatives of the residual at fixed x.
@@ -330,7 +334,8 @@ class SaddleSolver:
         """y [n_v, ...] along M^-1 Phi_q' with Phi_q (y - a y0) = b r, for each pair (a, b) of scales.
 
         change   y0 [n_v, ...] and r [rows, ...] as functions of data, placement, q and the numbers `of`
-        known    values of y above those of mu (M y + Phi_q' mu = 0) [n_v + rows, scales, lanes], where they are
+        known    values of y by the compiled start, above those of mu (M y + Phi_q' mu = 0) [n_v + rows, scales, lanes];
+                 None: they are computed here
         """
         T = self.topology
 

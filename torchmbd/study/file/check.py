@@ -119,7 +119,8 @@ def built_system(sections: Sections, folder: FilePath) -> tuple[System | None, l
     try:
         system = build_model(builder, sections["options"])
     except InputError as error:
-        return None, [Fault(("options",), f"= {shown(sections['options'])}: {error}")]
+        key = "options" if sections["options"] else "model"
+        return None, [Fault((key,), f"= {shown(sections[key])}: {error}")]
     faults = []
     for name, x in sections.get("parameters", {}).items():
         try:

@@ -24,7 +24,7 @@ from types import ModuleType
 from typing import Any, cast
 
 from torchmbd.design import History, Measure
-from torchmbd.errors import InputError, must, must_be_one, nearest, user_line
+from torchmbd.errors import InputError, must, must_be_one, nearest, user_line, within
 from torchmbd.integrate import Phase
 from torchmbd.multibody.system import System
 from torchmbd.process import file_of
@@ -85,7 +85,7 @@ def _refused(spec: str, state: str = "", allowed: str = "", hint: str = "") -> I
 
     state   words after the name
     """
-    return InputError((), spec, allowed, hint, noun="function", state=f"= {shown(spec, _LONGEST)} {state}".rstrip())
+    return InputError((), spec, allowed, hint, noun="function", shown=shown(spec, _LONGEST), state=state)
 
 
 def _named(spec: str, folder: Path) -> Any:
@@ -148,11 +148,11 @@ def build_model(builder: Builder, options: Mapping[str, Any]) -> System:
 
 @contextmanager
 def _user_code() -> Iterator[None]:
-    """Turn any exception of the user's code into an InputError that names its file and line."""
+    """Raise any exception of the user's code as an InputError that names its file and line."""
     try:
         yield
-    except InputError:
-        raise
+    except InputError as error:
+        raise within(f"the function in {user_line(error)}", error) from error
     except Exception as error:
         state = f"raised {type(error).__name__} in {user_line(error)}: {error}"
         raise InputError((), noun="the function", state=state) from error

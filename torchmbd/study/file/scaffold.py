@@ -119,7 +119,7 @@ def parts_of(model: str, folder: Path) -> Parts:
     try:
         function = find_model(model, folder)
     except InputError as error:
-        raise InputError("model", model, error.allowed, error.hint, state=error.state) from error
+        raise InputError("model", model, error.allowed, error.hint, shown=repr(model), state=error.state) from error
     needed = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
     if needed:
         raise InputError(

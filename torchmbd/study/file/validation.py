@@ -121,11 +121,16 @@ def _path(details: ErrorDetails, data: Any) -> Path:
 
 
 class _Refusal(NamedTuple):
-    """What is wrong with a value, what is allowed and a remedy: fields as those of InputError."""
+    """Why the schema refuses a value; the fields are explained at `InputError`."""
 
     state: str
     allowed: str = ""
     hint: str = ""
+
+    @property
+    def clause(self) -> str:
+        """The fault as it follows the key, without the remedy: "= -1: must be greater than 0"."""
+        return ": ".join(x for x in (self.state, must(self.allowed)) if x)
 
 
 def _refusal(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> _Refusal:
@@ -162,12 +167,11 @@ def _shown_input(details: ErrorDetails, path: Path) -> object:
 
 
 def _either(refusals: list[_Refusal]) -> str:
-    """Join the refusals of the branches of a union about one value; a remedy comes last."""
-    state, allowed, _ = refusals[0]
-    clauses = [f"{state}: {must(allowed)}" if allowed else state]
-    clauses += [x.allowed if x.allowed and x.state == state else f"{x.state} {must(x.allowed)}" for x in refusals[1:]]
+    """Join the refusals of the branches of a union about one value, which is shown once; a remedy comes last."""
+    first, *others = refusals
+    clauses = [first.clause, *(x.allowed if x.state == first.state else x.clause for x in others)]
     hint = next((x.hint for x in refusals if x.hint), "")
-    return "; or ".join(x.removesuffix(" ") for x in clauses) + (f". Try: {hint}" if hint else "")
+    return "; or ".join(clauses) + (f". Try: {hint}" if hint else "")
 
 
 def _keys(path: Path, section: Any) -> list[str]:

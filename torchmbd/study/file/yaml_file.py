@@ -74,10 +74,10 @@ def parse_yaml(text: str, source: str = "<text>") -> Document:
     try:
         builder.document(iter(yaml.parse(text, Loader=yaml.SafeLoader)))
     except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else None
-        problem = error.problem or error.context
-        hint = _QUOTED if "'['" in str(problem) else ""
-        builder.faults.append(Fault((), f"is not YAML: {problem}{hint}", line))
+        mark = error.problem_mark
+        hint = _QUOTED if mark and text[mark.index : mark.index + 1] == "[" else ""
+        line = mark.line + 1 if mark else None
+        builder.faults.append(Fault((), f"is not YAML: {error.problem or error.context}{hint}", line))
     except yaml.reader.ReaderError as error:
         line = text[: error.position].count("\n") + 1
         problem = f"unacceptable character #x{ord(text[error.position]):04x}"

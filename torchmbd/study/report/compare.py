@@ -188,7 +188,8 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
             "a",
             a,
             "two runs",
-            state=f"= {a!r} and b = {b!r} are the same run, {first.run_id[:8]}",
+            shown=repr(a),
+            state=f"and b = {b!r} are the same run, {first.run_id[:8]}",
             hint="torchmbd list, which shows their ids",
         )
     table = _table("what differs, and how they ended")

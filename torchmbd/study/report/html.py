@@ -71,7 +71,8 @@ def write_report(run: str, path: Path | None = None, uri: str | StoreURI | None 
             "output",
             str(path),
             "a file in a folder that exists",
-            state=f"= {str(path)!r} is in the folder {str(path.parent)!r}, which does not exist",
+            shown=repr(str(path)),
+            state=f"is in the folder {str(path.parent)!r}, which does not exist",
         )
     with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
         path.write_text(_page(store, entry, Path(scratch)), encoding="utf-8")
