@@ -19,6 +19,15 @@ def test_every_public_name_is_there():
     assert set(mbd.__all__) <= set(everything)
 
 
+def test_no_name_of_the_modules_own_is_offered():
+    """As a completion would list it: imports of the module, or names of its helpers."""
+    offered = {name for name in dir(mbd) if not name.startswith("_")}
+    assert offered == set(mbd.__all__)
+    for room in (mbd.io, mbd.viz):
+        extended = {x.partition(".")[2] for x in public_names() if x.startswith(f"{room.__name__.partition('.')[2]}.")}
+        assert {name for name in dir(room) if not name.startswith("_")} == extended | set(room.__all__)
+
+
 def test_nothing_else_is():
     with pytest.raises(AttributeError, match="'torchmbd' has no attribute 'Path'"):
         mbd.Path  # noqa: B018

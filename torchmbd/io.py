@@ -29,4 +29,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *(x.removeprefix("io.") for x in public_names() if x.startswith("io."))]
+    special = [name for name in globals() if name.startswith("__")]
+    return [*special, *(x.removeprefix("io.") for x in public_names() if x.startswith("io."))]

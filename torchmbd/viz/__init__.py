@@ -40,4 +40,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *(x.removeprefix("viz.") for x in public_names() if x.startswith("viz."))]
+    special = [name for name in globals() if name.startswith("__")]
+    return [*special, *__all__, *(x.removeprefix("viz.") for x in public_names() if x.startswith("viz."))]
