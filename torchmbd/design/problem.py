@@ -258,7 +258,8 @@ class Problem(FixedArguments, Summary):
 
     simulations = 1  # motions of one design
 
-    def _checked(self, X: Any, *sizes: int) -> np.ndarray:
+    def checked_designs(self, X: Any, *sizes: int) -> np.ndarray:
+        """Return designs [lanes, n] as numbers; InputError unless n is one of the sizes."""
         X = as_numbers("designs", X)
         if X.ndim != 2 or X.shape[1] not in sizes:
             raise InputError(
@@ -271,7 +272,7 @@ class Problem(FixedArguments, Summary):
 
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
         """Motions of designs [lanes, n], differentiable with respect to all design variables if `gradients`."""
-        return self._motions(self._checked(X, len(self.space.names), len(self.names)), gradients)[0]
+        return self._motions(self.checked_designs(X, len(self.space.names), len(self.names)), gradients)[0]
 
     def _motion(
         self, simulation: Simulation, designs: dict[str, Tensor], gradients: bool, diagnose: bool = True
@@ -352,7 +353,7 @@ class Problem(FixedArguments, Summary):
         model leaves out, such as stiffening by loads, come with values, and with the first gradients of a problem: those that
         follow are mostly steps of a search, whose best design is verified.
         """
-        X = self._checked(X, len(self.names))
+        X = self.checked_designs(X, len(self.names))
         batch = max(1, self._lanes_at_once(gradients) // self.simulations) if len(X) > 1 else 1
         if len(X) > batch:
             return [e for k in range(0, len(X), batch) for e in self.evaluate(X[k : k + batch], gradients)]

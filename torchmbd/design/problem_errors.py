@@ -25,7 +25,8 @@ def problem_errors(problem: Any, x: np.ndarray, *, modes: bool = True, mesh: boo
     the rows that the optimizer sees, such as those of all scenarios.
     Raises SimulationFailure for a design without a motion.
     """
-    return design_errors(problem, np.asarray(x, dtype=float)[None], modes=modes, mesh=mesh)
+    X = problem.checked_designs(np.asarray(x)[None], len(problem.space.names), len(problem.names))
+    return design_errors(problem, X, modes=modes, mesh=mesh)
 
 
 def design_errors(

@@ -219,7 +219,7 @@ class Scenarios(Problem):
         """Motions of designs [lanes, n] in one scenario. With None it is the scenario in which the last design has the
         largest objective.
         """
-        X = self._checked(X, len(self.space.names), len(self.names))
+        X = self.checked_designs(X, len(self.space.names), len(self.names))
         name = self.largest(X[-1]) if scenario is None else scenario
         if name not in self.scenarios:
             raise unknown("scenario", name, self.scenarios)
@@ -242,7 +242,7 @@ class Scenarios(Problem):
         return self._motions(np.asarray(x, dtype=float)[None], False)
 
     def _motions(self, X: np.ndarray, gradients: bool, diagnose: bool = True) -> list[Trajectory]:
-        X = self._checked(X, len(self.space.names), len(self.names))
+        X = self.checked_designs(X, len(self.space.names), len(self.names))
         try:
             return super()._motions(X, gradients, diagnose)
         except CutCluster as error:  # its lanes count scenarios, so they are no indices of designs

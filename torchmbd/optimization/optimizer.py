@@ -155,6 +155,8 @@ def convergence_figure(results: Sequence[OptimizationResult], best: Optimization
     """Figure of the objective and the largest violation of several starts over their iterations; the best stands out."""
     from torchmbd.viz.figures import convergence
 
+    if not isinstance(title, str):
+        raise InputError("title", title, "a str")
     names = {f"start {result.start}": result.history for result in results if result.history}
     values, violations = (
         {name: [getattr(iterate, what) for iterate in history] for name, history in names.items()}

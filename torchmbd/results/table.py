@@ -40,6 +40,8 @@ def table(
     """
     import pandas as pd
 
+    if histories is not None and not isinstance(histories, Mapping):
+        raise InputError("histories", histories, "a dict heading -> history", '{"energy [J]": mbd.StrainEnergy("arm")}')
     if not names and not histories:
         raise InputError("names", (), "names of bodies, beams or joints", hint="motion.to_dataframe('arm')")
     columns: Columns = {}

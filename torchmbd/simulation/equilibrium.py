@@ -21,7 +21,7 @@ from torch import Tensor
 from torchmbd.diagnosis.elastic_limits import warn_of_displacements, warn_of_spin
 from torchmbd.diagnosis.load_shares import warn_of_loads
 from torchmbd.diagnosis.truncation import warn_static_truncation
-from torchmbd.errors import DesignFailure, InputError, true_or_false
+from torchmbd.errors import DesignFailure, InputError, one_of, true_or_false
 from torchmbd.integrate.arguments import checked_designs, start_of
 from torchmbd.integrate.integrated_trajectory import plain, trajectory_of
 from torchmbd.integrate.motion import Motion, Tensors
@@ -114,6 +114,7 @@ class Equilibrium(Trajectory):
 
         modes   their numbers from 0; None: all, infinite for modes that a lane does not retain
         """
+        one_of("kind", kind, ("natural", "poles"))
         q = self.signals.history.q[-1]  # pyright: ignore[reportAttributeAccessIssue]
         return of_equilibrium("eigenvalues")(self.dynamics, q, self.t[-1], self.rotation, kind, modes, symmetric)
 

@@ -165,7 +165,7 @@ class Simulation(FixedArguments, Summary):
 
     def with_steps(self, steps: int | None) -> Self:
         """The same simulation by other steps; the preparation is shared."""
-        if steps == self.steps:
+        if (steps is None or isinstance(steps, int)) and steps == self.steps:
             return self
         checked_integrator(self.duration, self.method, steps, self.options)
         known, other = self._prepared(), copy.copy(self)

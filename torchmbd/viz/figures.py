@@ -167,6 +167,8 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 def titled(figure: Figure, title: str) -> Figure:
     """Return the figure with a title, wrapped to its width."""
+    if not isinstance(title, str):
+        raise InputError("title", title, "a str")
     if title:
         figure.suptitle("\n".join(textwrap.wrap(title, 75)), x=0.01, ha="left", fontsize=10)
     return figure

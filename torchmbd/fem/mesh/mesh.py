@@ -112,6 +112,8 @@ class Mesh:
 
     def node_set(self, name: str) -> tuple[int, ...]:
         """Return the node indices of a named set."""
+        if not isinstance(name, str):
+            raise InputError("node", name, "the name of a node or node set, a str")
         if name not in self.node_sets:
             names = list(self.node_sets)
             shown = names if len(names) <= 30 else difflib.get_close_matches(str(name), names, n=8, cutoff=0.0)

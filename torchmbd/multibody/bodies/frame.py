@@ -154,7 +154,7 @@ def frame_at(body: Any, coordinates: Sequence[Any], axes: Sequence | Tensor | No
 
 
 def _three_numbers(name: Path, x: Any, allowed: str) -> Tensor:
-    if not isinstance(x, (tuple, list, Tensor)) or len(x) != 3:
+    if not isinstance(x, (tuple, list, Tensor)) or (isinstance(x, Tensor) and x.dim() != 1) or len(x) != 3:
         raise InputError(name, x, allowed)
     result = read_numbers(name, [number(y) for y in x], allowed)
     if result.shape != (3,) or not bool(torch.isfinite(result).all()):

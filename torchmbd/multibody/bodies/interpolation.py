@@ -87,7 +87,8 @@ def node_indices(mesh: Any, nodes: str | int | Sequence[str | int]) -> list[int]
     """Indices of a node, of a node set, or of a list of nodes."""
     if isinstance(nodes, str) and len(mesh.node_sets.get(nodes, ())) > 1:
         return [int(i) for i in mesh.node_sets[nodes]]
-    several = isinstance(nodes, (Sequence, Tensor, np.ndarray)) and not isinstance(nodes, str) and not _whole(nodes)
+    arrays = isinstance(nodes, (Tensor, np.ndarray)) and nodes.ndim > 0
+    several = (arrays or isinstance(nodes, Sequence)) and not isinstance(nodes, str) and not _whole(nodes)
     return [_index(mesh, node) for node in (nodes if several else [nodes])]  # pyright: ignore
 
 

@@ -196,9 +196,9 @@ def _shapes(name: str, n: int, modes: Any) -> Float[Tensor, "n 6 m"]:
 
 def save_reduced(path: str | Path, mesh: Any, origin: Tensor, structure: Mapping[str, Tensor]) -> Path:
     """Write a reduced body to an .npz file; nodes are measured from the origin of its frame."""
-    path = Path(path)
-    if path.suffix != ".npz":
+    if not isinstance(path, (str, Path)) or Path(path).suffix != ".npz":
         raise InputError("path", str(path), "a name that ends in .npz")
+    path = Path(path)
     if "F1" in structure:
         raise InputError("stiffening", True, "False, because files of reduced bodies cannot store stiffening")
     if structure["Kr"].dim() > 2:
