@@ -6,8 +6,10 @@ import math
 
 import pytest
 
+import torchmbd as mbd
 from tests.refused import refused
-from torchmbd.math.units import UNITS, factor, meters, misfit
+from torchmbd.extensions.meshes.mesh_file import meters
+from torchmbd.math.units import UNITS, factor, in_si, misfit
 
 
 @pytest.mark.parametrize(
@@ -21,6 +23,23 @@ def test_multiples(name, si):
 def test_pounds_per_square_inch():
     assert factor("psi") == pytest.approx(6894.757293168, rel=1e-12)
     assert {UNITS[name][1] for name in ("Pa", "kPa", "MPa", "GPa", "psi")} == {"Pa"}
+
+
+def test_a_text_with_a_unit_has_the_number_in_si_as_its_remedy():
+    texts = {
+        "1 mm": "0.001 (m)",
+        "2.5e3 N": "2500 (N)",
+        "70GPa": "70000000000 (Pa)",
+        "12": "12",
+        "12 apples": "",
+        "initial": "",
+    }
+    assert {text: in_si(text) for text in texts} == texts
+    assert in_si(None) == in_si(3.0) == ""
+    with refused("duration", "1 ms", "Try: 0.001 (s)"):
+        mbd.simulate(mbd.examples.pendulum(), "1 ms")  # pyright: ignore[reportArgumentType]
+    with refused("limit", "1 mm", "Try: 0.001 (m)"):
+        _ = mbd.Max(mbd.StrainEnergy("arm")) <= "1 mm"
 
 
 def test_a_unit_that_cannot_be_is_refused():

@@ -19,11 +19,12 @@ from torchmbd.integrate.backend import BACKENDS
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.phase import Phase
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
-from torchmbd.math.checked_numbers import is_whole
+from torchmbd.math.checked_numbers import is_whole, with_unit
 from torchmbd.math.gradients import all_true, in_transform, is_differentiated, untransformed
 from torchmbd.math.pair import value
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.math.rotation import rotation_matrix
+from torchmbd.math.units import in_si
 from torchmbd.multibody.equations import base_points
 from torchmbd.multibody.equations.equations import split_q
 from torchmbd.multibody.start.start import Start
@@ -46,7 +47,8 @@ def checked_integrator(
         raise InputError("duration", duration, "one positive number [s], for all designs", shown=what)
     duration = seconds_of(duration)
     if not isinstance(duration, numbers.Real) or isinstance(duration, bool) or not 0 < float(duration) < math.inf:
-        raise InputError("duration", duration, "a positive number", shown=f"{duration!r} s")
+        shown = with_unit(duration, " s")
+        raise InputError("duration", duration, "a positive number", in_si(duration), shown=shown)
     if steps is not None and not (is_whole(steps) and steps >= 1):
         raise InputError("steps", steps, "a positive integer")
     if not SHORTEST <= float(duration) / (steps or 1) <= LONGEST:

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, Path
 from torchmbd.math.gradients import double_precision, refuse_gradients
+from torchmbd.math.units import in_si
 
 
 def reals(name: str | Path, value: ArrayLike | Tensor) -> Tensor:
@@ -46,8 +47,13 @@ def scalar(name: str | Path, value: Any, allowed: str = "a finite number", unit:
     except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor of several numbers
         x = math.nan
     if not math.isfinite(x):
-        raise InputError(name, value, allowed, shown=f"{value!r}{unit}")
+        raise InputError(name, value, allowed, in_si(value), shown=with_unit(value, unit))
     return x
+
+
+def with_unit(value: object, unit: str) -> str:
+    """The value with the unit " m" of its argument, for a message; a text has no unit, or its own."""
+    return repr(value) if isinstance(value, str) else f"{value!r}{unit}"
 
 
 def is_whole(x: Any) -> bool:

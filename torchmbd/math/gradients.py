@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from torch.func import debug_unwrap
 
 from torchmbd.errors import InputError, Path
+from torchmbd.math.units import in_si
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -162,7 +163,7 @@ def constant_arguments(f: Callable[P, R]) -> Callable[P, R]:
         for name in floats.intersection(values):
             if not _number(values[name]):
                 owner = f.__qualname__.removesuffix(".__init__")
-                raise InputError((owner, name), values[name], "a number")
+                raise InputError((owner, name), values[name], "a number", in_si(values[name]))
         return f(*args, **kwargs)
 
     return checked

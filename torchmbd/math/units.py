@@ -9,11 +9,11 @@ gravity 9.80665 m/s2, all by definition. Checked in tests/math/test_units.py.
 from __future__ import annotations
 
 import math
-
-from torchmbd.errors import InputError, unknown
+import re
 
 INCH, FOOT, POUND, GRAVITY = 0.0254, 0.3048, 0.45359237, 9.80665
 NONE = "none"
+_NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")  # and a unit, or ""
 
 #: Name -> (its multiple of the SI unit, SI unit); "" is a plain number.
 UNITS: dict[str, tuple[float, str]] = {
@@ -115,16 +115,19 @@ def shown(parameter: str, x: float) -> str:
     return f"{x:g} rad ({math.degrees(x):g} deg)" if is_angle else f"{x:g}"
 
 
-def meters(name: str, unit: float | str) -> float:
-    """A unit of length as meters: a number > 0, or its name; InputError for anything else."""
-    lengths = units_of("m")
-    if isinstance(unit, str):
-        if unit not in lengths:
-            raise unknown(name, unit, lengths)
-        return factor(unit)
-    from torchmbd.math.checked_numbers import scalar  # imports torch, which commands that only read names do not need
+def number_with_unit(text: object) -> tuple[float, str] | None:
+    """The number and the unit of a text such as "1 mm"; the unit of "12" is "none". None for anything else."""
+    found = _NUMBER.fullmatch(text.strip()) if isinstance(text, str) else None
+    if found is None or (found[2] or NONE) not in UNITS:
+        return None
+    return float(found[1]), found[2] or NONE
 
-    x = scalar(name, unit, f"meters per unit, > 0, or one of {', '.join(lengths)}")
-    if not x > 0.0:
-        raise InputError(name, unit, f"meters per unit, > 0, or one of {', '.join(lengths)}")
-    return x
+
+def in_si(text: object) -> str:
+    """The remedy for a text in place of a number in SI units: "0.001 (m)" for "1 mm"; "" if it is no number with a unit."""
+    written = number_with_unit(text)
+    if written is None:
+        return ""
+    number, unit = written
+    multiple, si = UNITS[unit]
+    return f"{multiple * number:.12g} ({si})" if si else f"{number:.12g}"

@@ -21,9 +21,10 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.checked_numbers import is_real, scalar
+from torchmbd.math.checked_numbers import is_real, scalar, with_unit
 from torchmbd.math.gradients import is_variable
 from torchmbd.math.pair import linear
+from torchmbd.math.units import in_si
 
 
 def variable(x: float | Tensor) -> nn.Parameter:
@@ -75,8 +76,9 @@ def check_positive(numbers: Any, unit: str = "", infinite: bool = False) -> None
         value = number(getattr(numbers, name))
         if not (is_real(value) and value > 0.0 and (infinite or math.isfinite(value))):
             allowed = "a number > 0" if infinite else "a finite number > 0"
-            noun, shown = f"{type(numbers).__name__}: {name}", f"{value!r}{unit}"
-            raise InputError(name, value, f"{allowed}, or mbd.variable(...) of one", noun=noun, shown=shown)
+            allowed = f"{allowed}, or mbd.variable(...) of one"
+            noun, shown = f"{type(numbers).__name__}: {name}", with_unit(value, unit)
+            raise InputError(name, value, allowed, in_si(value), noun=noun, shown=shown)
 
 
 def stacked(numbers: Sequence[Any]) -> Tensor:

@@ -16,6 +16,7 @@ from torchmbd.fem.elements import Plates
 SQUARE = ["GRID,1,,0.,0.,0.", "GRID,2,,2.,0.,0.", "GRID,3,,2.,1.,0.", "GRID,4,,0.,1.,0."]
 STEEL = "MAT1,1,2.+11,,.25,8000."
 SOFT = "MAT1,2,7.+10,,.3,2700."
+MAT8 = "MAT8,3,1.28+11,1.01+10,.23,5.36+9,5.36+9,3.6+9,1586."
 
 
 @pytest.fixture
@@ -65,6 +66,20 @@ def test_elements_of_several_offsets(parts):
         "pshell_7": 0.0,
         "pshell_7_offset_1": 0.05,
     }
+
+
+def test_angles_of_isotropic_properties_are_no_design_variables(parts):
+    """They had no effect; those of a property with an anisotropic material have one."""
+    lines = {
+        ("PSHELL,7,1,.01,1", STEEL): ["thickness"],
+        ("PSHELL,7,1,.01,2,3.,1,.5", STEEL, SOFT): ["thickness"],
+        ("PCOMP,7,,,,TSAI", ",1,.002,10.,,2,.002,20.", STEEL, SOFT): ["thickness"],
+        ("PSHELL,7,3,.01,3", MAT8): ["angles", "thickness"],
+        ("PCOMP,7,,,,TSAI", ",1,.002,10.,,3,.002,20.", STEEL, MAT8): ["angles", "thickness"],
+    }
+    for cards, names in lines.items():
+        (part,) = parts("CQUAD4,1,7,1,2,3,4", *cards).values()
+        assert [name for name, _ in laminate(part).named_parameters()] == names
 
 
 def test_membrane_bending_and_shear_of_other_materials(parts):

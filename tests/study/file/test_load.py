@@ -205,6 +205,12 @@ def test_everything_that_is_wrong_is_named_at_once(write):
             "says -> int about what it returns: must be annotated with",
         ),
         ({"model": "rod_model.py:broken", "options": {}}, "model", "ZeroDivisionError in"),
+        ({"simulate": {"duration": "5 ms"}}, "simulate.duration", "Try: 0.005 (s)"),
+        (
+            {"subject_to": [{"mass": "rod", "at_most": "90 g"}]},
+            "subject_to.0.at_most",
+            "Try: 0.09 (kg), or 90 and unit: g",
+        ),
         ({"simulate": {"duration": 0.1, "rtoll": 1}}, "simulate.rtoll", "is not an option"),
         ({"simulate": {"duration": 0.1, "method": "dopri5", "refresh": 1}}, "simulate.refresh", "of method 'dopri5'"),
         ({"optimizer": {"name": "mmfd", "ctt": 1}}, "optimizer.ctt", "is not an option"),

@@ -24,12 +24,13 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from torchmbd.errors import InputError, not_installed, within
+from torchmbd.errors import InputError, not_installed, unknown, within
 from torchmbd.extensions.meshes.abaqus_file import AbaqusFile
 from torchmbd.extensions.meshes.nastran_file import check_counts, check_nastran, is_nastran
 from torchmbd.fem.mesh.mesh import Mesh
+from torchmbd.math.checked_numbers import scalar
 from torchmbd.math.gradients import constant_arguments
-from torchmbd.math.units import meters
+from torchmbd.math.units import factor, units_of
 
 _CELLS = {"triangle": 3, "quad": 4}  # corners
 _POINTS_AND_CURVES = ("vertex", "line")  # gmsh writes them for named points and curves
@@ -168,3 +169,16 @@ def _node_sets(source: Any, new_index: Tensor) -> dict[str, list[int]]:
             sets[name] = np.unique(np.concatenate(corners))
     mapped = {name: new_index[torch.from_numpy(points)].tolist() for name, points in sets.items()}
     return {name: [k for k in nodes if k >= 0] for name, nodes in mapped.items() if any(k >= 0 for k in nodes)}
+
+
+def meters(name: str, unit: float | str) -> float:
+    """A unit of length as meters: a number > 0, or its name; InputError for anything else."""
+    lengths = units_of("m")
+    if isinstance(unit, str):
+        if unit not in lengths:
+            raise unknown(name, unit, lengths)
+        return factor(unit)
+    x = scalar(name, unit, f"meters per unit, > 0, or one of {', '.join(lengths)}")
+    if not x > 0.0:
+        raise InputError(name, unit, f"meters per unit, > 0, or one of {', '.join(lengths)}")
+    return x

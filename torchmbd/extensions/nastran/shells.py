@@ -5,6 +5,7 @@
     PSHELL     -> Laminate of one ply; its angle is not a design parameter. Where MID1, MID2 and MID3 differ, are MAT2, or
                   12I/T**3 is not 1, a DividedLaminate, which has no plies
 
+If all materials of a property are MAT1, its angles are constants without a name, because they have no effect.
 The middle lies at Z0 + h/2 above the plane of the grids, and ZOFFS of an element more; it stays there where thicknesses are
 design variables. Mass without stiffness (NSM) is spread over the thickness. A PSHELL without MID2 is a membrane in Nastran,
 whose plate degrees of freedom are held: here it keeps MEMBRANE of the bending stiffness of a solid shell, with a warning.
@@ -14,6 +15,7 @@ Checked in tests/extensions/nastran/test_shells.py, tests/extensions/nastran/tes
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -66,6 +68,15 @@ def _shell(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
         ply = dataclasses.replace(ply, alpha1=None, alpha2=None)  # its expansion is not that of one material
         laminate = DividedLaminate(ply, thickness, Q, Q_bent, G, offset)
     laminate.angles.requires_grad_(False)
+    return _directed(laminate, [data.material(card, number) for number in (middle, bending, shear) if number])
+
+
+def _directed(laminate: Laminate, materials: Sequence[Card]) -> Laminate:
+    """The laminate, whose angles become constants if all materials are isotropic: as design variables they had no effect."""
+    if all(material.name == "MAT1" for material in materials):
+        angles = laminate.angles.detach()
+        del laminate.angles
+        laminate.register_buffer("angles", angles, persistent=False)
     return laminate
 
 
@@ -122,11 +133,13 @@ def _stack(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
     total = sum(thicknesses) * (2.0 if kind == "SYM" else 1.0)
     if not is_centered(card, total):
         offset = offset + (card.real(2, "Z0") + total / 2.0) * units.length
-    plies = [ply_of(data.material(card, number), units, data.weight_to_mass) for number in materials]
+    cards = [data.material(card, number) for number in materials]
+    plies = [ply_of(material, units, data.weight_to_mass) for material in cards]
     plies = [_with_extra_mass(ply, card, 3, total * units.length, data, units) for ply in plies]
     thicknesses = [t * units.length for t in thicknesses]
     symmetric = kind == "SYM"
-    return Laminate(plies, deg(angles), thicknesses, symmetric=symmetric, shear_correction="energy", offset=offset)
+    laminate = Laminate(plies, deg(angles), thicknesses, symmetric=symmetric, shear_correction="energy", offset=offset)
+    return _directed(laminate, cards)
 
 
 def ply_places(card: Card) -> list[int]:

@@ -14,6 +14,7 @@ from pydantic import ValidationError, create_model
 from pydantic_core import ErrorDetails
 
 from torchmbd.errors import Path, must, nearest
+from torchmbd.math.units import NONE, in_si, number_with_unit
 from torchmbd.study.file.faults import Fault, shown
 from torchmbd.study.file.schema import LIMIT_KINDS, UNITS, Section
 from torchmbd.tracking.uri import StoreURI
@@ -30,11 +31,12 @@ _ALLOWED = {
     "count": "a whole number",
     **dict.fromkeys(("lower", "upper", "duration", "from", "to"), "a number"),
 }
+_FLOATS = ("float_type", "float_parsing")
 #: Kind of an error of pydantic -> what is allowed, with the numbers of the error.
 _RULES = {
     **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size"), "a valid integer"),
     "int_from_float": "a valid integer, without a fraction",
-    **dict.fromkeys(("float_type", "float_parsing"), "a valid number"),
+    **dict.fromkeys(_FLOATS, "a valid number"),
     "finite_number": "a finite number",
     **dict.fromkeys(("string_type", "string_unicode"), "a valid string"),
     **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
@@ -50,6 +52,7 @@ _RULES = {
     "too_short": "must have at least {min_length} item",
     "too_long": "must have at most {max_length} items",
 }
+_WITH_UNITS = ("design", "subject_to")  # sections whose entries have a unit; that of a limit may be left out
 #: Sections of several entries, each of which can be checked alone.
 _OF_ENTRIES = ("design", "links", "tradeoff", "subject_to", "scenarios")
 
@@ -156,8 +159,19 @@ def _refusal(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> 
         count = "exactly one" if path == ("sweep",) else f"{least} or more"
         return _Refusal(f"has {len(value)} keys", f"must have {count}")
     if kind in _RULES:
-        return _Refusal(is_value, _RULES[kind].format(**context))
+        return _Refusal(
+            is_value, _RULES[kind].format(**context), _without_unit(value, path[0]) if kind in _FLOATS else ""
+        )
     return _Refusal(f"{is_value}: {details['msg']}")
+
+
+def _without_unit(value: object, section: object) -> str:
+    """Return the remedy for a text such as "1 mm" in place of a number; "" if it is no number with a unit."""
+    written = number_with_unit(value)
+    if written is None or written[1] == NONE or section not in _WITH_UNITS:
+        return in_si(value)
+    beside = f"{written[0]:g} and unit: {written[1]}"
+    return beside if section == "design" else f"{in_si(value)}, or {beside}"
 
 
 def _shown_input(details: ErrorDetails, path: Path) -> object:
