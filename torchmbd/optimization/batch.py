@@ -13,7 +13,6 @@ import numpy as np
 from torchmbd.errors import InputError
 
 T = TypeVar("T")  # Evaluation or Criteria
-T_co = TypeVar("T_co", covariant=True)
 
 
 def wrong_count(evaluations: Sized, designs: Sized) -> InputError:
@@ -25,7 +24,7 @@ def wrong_count(evaluations: Sized, designs: Sized) -> InputError:
     )
 
 
-class Batch(Protocol[T_co]):
+class Batch(Protocol[T]):
     """Designs under evaluation."""
 
     @property
@@ -37,7 +36,7 @@ class Batch(Protocol[T_co]):
         """Have `call` called, from any thread, each time that `done` may have become true."""
         ...
 
-    def evaluations(self) -> list[T_co]:
+    def evaluations(self) -> list[T]:
         """Wait for the evaluations, in the order of the designs; raise what evaluating has raised."""
         ...
 

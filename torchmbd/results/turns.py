@@ -62,7 +62,7 @@ class Turns:
     states: Callable[[Tensor], tuple[Tensor, Tensor]]
     lanes: list[int] = field(default_factory=list)
     now: Tensor | None = None
-    _angles: dict[str, tuple[Tensor, Tensor]] = field(default_factory=dict)
+    _known: dict[str, _Known] = field(default_factory=dict)
 
     def of_lanes(self, lanes: list[int]) -> Turns:
         """Of some of these lanes."""
@@ -80,28 +80,64 @@ class Turns:
         now = self.now.expand(len(lanes))
         same = 1e-9 * float(self.times[-1]) / len(self.times)
         last = torch.searchsorted(self.times, (now - same).contiguous()) - 1
-        angles, rates = self._up_to(angle, int(last.max()) + 1)
-        known = torch.isfinite(angles[:, lanes]) & (torch.arange(len(self.times))[:, None] <= last)
-        row = torch.where(known, torch.arange(len(self.times))[:, None], -1).amax(0)
-        t = torch.where(row < 0, torch.nan, self.times[row.clamp_min(0)])
-        return AngleBefore(t, angles[row.clamp_min(0), lanes], rates[row.clamp_min(0), lanes], now)
+        known = self._up_to(angle, int(last.max()) + 1)
+        row = known.rows(lanes, last)
+        at, none = row.clamp_min(0), row < 0
+        t = torch.where(none, torch.nan, self.times[at])
+        return AngleBefore(t, known.angles[at, lanes], known.rates[at, lanes], now)
 
-    def _up_to(self, angle: Any, count: int) -> tuple[Tensor, Tensor]:
-        """Continuous angles and rates [times, lanes] at the first `count` times, nan where nothing is recorded."""
-        nothing = torch.full((len(self.times), self.q.shape[-1]), torch.nan, dtype=torch.float64)
-        angles, rates = self._angles.setdefault(repr(angle), (nothing, nothing.clone()))
-        new = torch.isfinite(self.q[:count, 0, 0]) & ~torch.isfinite(angles[:count])
-        rows = torch.nonzero(new.any(1))[:, 0]
+    def _up_to(self, angle: Any, count: int) -> _Known:
+        """Angles at the first `count` times, as far as these are recorded."""
+        known = self._known.get(repr(angle)) or _Known.nothing(*self.q[:, 0, 0].shape)
+        self._known[repr(angle)] = known
+        first = int(known.last.min()) + 1
+        new = torch.isfinite(self.q[first:count, 0, 0]) & ~torch.isfinite(known.angles[first:count])
+        rows = first + torch.nonzero(new.any(1))[:, 0]
         if not len(rows):
-            return angles, rates
+            return known
         x = {name: y[:, :, 0].permute(2, 0, 1) for name, y in zip(("q", "v"), self.states(rows), strict=True)}
         recorded = replace(self.base, t=self.times[rows], signals=TensorSignals(x), turns=None, known=None)
-        wrapped, wrapped_rates = (y.detach().T for y in angle.wrapped_jet(recorded))
-        for i, a, w in zip(rows.tolist(), wrapped, wrapped_rates, strict=True):
-            known = torch.isfinite(angles[:i])
-            lanes = torch.arange(len(a))
-            row = torch.where(known, torch.arange(i)[:, None], 0).amax(0) if i else torch.zeros_like(lanes)
-            turns = _turns(angles[row, lanes], rates[row, lanes], self.times[row], a, w, self.times[i])
-            angles[i] = torch.where(new[i], a + 2.0 * math.pi * turns, angles[i])
-            rates[i] = torch.where(new[i], w, rates[i])
-        return angles, rates
+        known.add(rows, new[rows - first], self.times, *(y.detach().T for y in angle.wrapped_jet(recorded)))
+        return known
+
+
+@dataclass
+class _Known:
+    """Continuous angles and rates [times, lanes], nan where nothing is recorded; last: row of the last of each lane, or -1."""
+
+    angles: Tensor
+    rates: Tensor
+    last: Tensor
+
+    @classmethod
+    def nothing(cls, times: int, lanes: int) -> _Known:
+        nan = torch.full((times, lanes), torch.nan, dtype=torch.float64)
+        return cls(nan, nan.clone(), torch.full((lanes,), -1))
+
+    def rows(self, lanes: Tensor, most: Tensor) -> Tensor:
+        """The last rows of lanes that are known, up to rows `most` [lanes]; -1 where none is."""
+        row = torch.minimum(self.last[lanes], most)
+        there = (row < 0) | torch.isfinite(self.angles[row.clamp_min(0), lanes])
+        if bool(there.all()):
+            return row
+        numbers = torch.arange(int(row.max()) + 1)[:, None]  # a lane has a gap
+        known = torch.isfinite(self.angles[: len(numbers), lanes]) & (numbers <= row)
+        return torch.where(known, numbers, -1).amax(0)
+
+    def add(self, rows: Tensor, new: Tensor, times: Tensor, angles: Tensor, rates: Tensor) -> None:
+        """Add angles within half a turn, and their rates [rows, lanes], where they are new; each lane is recorded in order."""
+        lanes, numbers = torch.arange(len(self.last)), torch.arange(1, len(rows) + 1)[:, None]
+        at, begun = self.last.clamp_min(0), self.last >= 0  # row 0: of what is known already
+        angles, rates = (
+            torch.cat([self.angles[at, lanes][None], angles]),
+            torch.cat([self.rates[at, lanes][None], rates]),
+        )
+        t = torch.cat([times[at][None], times[rows, None].expand(-1, len(lanes))])
+        here = torch.cat([torch.where(begun, 0, -1)[None], torch.where(new, numbers, -1)]).cummax(0).values
+        before = here[:-1]  # the last number that is known before each row
+        a, w, s = (x.gather(0, before.clamp_min(0)) for x in (angles, rates, t))
+        steps = torch.where(new & (before >= 0), _turns(a, w, s, angles[1:], rates[1:], t[1:]), 0.0)
+        continuous = angles[1:] + 2.0 * math.pi * steps.cumsum(0)
+        self.angles[rows] = torch.where(new, continuous, self.angles[rows])
+        self.rates[rows] = torch.where(new, rates[1:], self.rates[rows])
+        self.last = torch.where(here[-1] > 0, rows[here[-1].clamp_min(1) - 1], self.last)

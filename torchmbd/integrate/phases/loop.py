@@ -53,7 +53,9 @@ from torchmbd.progress import announce
 from torchmbd.results.history import History, longest_run
 from torchmbd.results.state import State
 
-_BETWEEN_EVENTS = 50  # steps that are made at once where an event may end the phase: those after it are lost
+# Steps that are made at once where an event may end the phase: as many as were made so far, within these bounds. Those after
+# the event are lost, but an evaluation of the event's function takes as long as some hundred steps of one design.
+_BETWEEN_EVENTS = 50, 400
 _SAME = 1e-9  # of a regular step: times that are equal
 
 
@@ -144,7 +146,8 @@ class _PhaseLoop:
                 inside = self._left_behind(steps, inside)
             i = j
         for lane, reason in stepper.failed.items():
-            self.multiphase.fail(lane, reason)
+            if not bool(record.has_exit[lane]):  # else it failed in steps after its event, which are lost
+                self.multiphase.fail(lane, reason)
         if bool(self.alive.any()):
             self.multiphase.end(self.segment, lane_numbers(self.alive))
         if bool(record.has_exit.any()):
@@ -162,7 +165,10 @@ class _PhaseLoop:
         stops, every = [last, *(k for k in self.first.tolist() if i < k)], self.multiphase.every
         if self.ends is not None:
             stops.append(max(i + 1, int((~self._past_end(torch.arange(len(self.times))))[:, self.alive].any(1).sum())))
-        most = longest_run(every) if self.event is None else every * max(_BETWEEN_EVENTS // every, 1)
+        most = longest_run(every)
+        if self.event is not None:
+            fewest, largest = _BETWEEN_EVENTS
+            most = min(most, every * max(min(max(fewest, i - int(self.first.min())), largest) // every, 1))
         if every == 1:
             return min([i + most, *stops])
         return min([i + most - i % most, *stops])
