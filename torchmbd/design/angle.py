@@ -92,10 +92,12 @@ class Angle(History):
         u = self._arm(motion.system, e)
         across = torch.linalg.cross(e, u)
         body = motion.body(self.body)
-        turned, rate = body.A @ u, (body.A @ torch.linalg.cross(body.omega, u.expand_as(body.omega))[..., None])[..., 0]
+        A, omega = body.A, body.omega
+        turned, rate = A @ u, (A @ torch.linalg.cross(omega, u.expand_as(omega))[..., None])[..., 0]
         if self.seen_from != GROUND:
             observer = motion.body(self.seen_from)
-            turned, rate = (torch.einsum("ltji,ltj->lti", observer.A, x) for x in (turned, rate))
+            A = observer.A
+            turned, rate = (torch.einsum("ltji,ltj->lti", A, x) for x in (turned, rate))
             rate = rate - torch.linalg.cross(observer.omega, turned)
         sine, cosine = turned @ across, turned @ u
         c, s = math.cos(self.center), math.sin(self.center)
