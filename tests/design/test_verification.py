@@ -230,7 +230,9 @@ def test_a_method_without_an_estimate_is_not_verified() -> None:
 
 
 def test_a_status_tells_what_the_search_did() -> None:
-    search = "not converged (stalled: no step improves); better than the start, 2; 31 evaluations, none failed"
+    search = (
+        "not converged (stalled: no step improves); better than the start (objective 2); 31 evaluations, none failed"
+    )
     sound = Verification((), -10.0, -9.8, (), search=search)
     assert sound.verified
     assert sound.status.startswith("verified: the objective changed by -10.00 %, in a finer model by -9.80 %")

@@ -45,7 +45,7 @@ def test_a_result_tells_failures_and_the_start(search: Any) -> None:
     text = repr(sound)
     assert "converged" in text
     assert "none failed" in text
-    assert "better than the start, 1" in text
+    assert "better than the start (objective 1)" in text
     assert not sound.failing_text
     best = failing.best if search is mbd.optimization.multistart else failing
     assert best.status == "many_failures"
@@ -54,7 +54,7 @@ def test_a_result_tells_failures_and_the_start(search: Any) -> None:
     assert len(best.reasons) == 1
     for told in (repr(failing), failing.search_text):
         assert f"{best.failures} of {best.analyses} evaluations failed, all of them: no state at t = " in told
-        assert "better than the start, 1" in told
+        assert "better than the start (objective 1)" in told
     assert failing.failing_text
 
 
@@ -76,9 +76,9 @@ class Wall(Valley):
 @pytest.mark.parametrize(
     ("limit", "begin", "text"),
     [
-        (-1.0, 0.0, "feasible, unlike the start, 1 (violation 1)"),  # its objective, 4, is larger
-        (0.5, 0.0, "better than the start, 1"),
-        (-3.0, 0.0, "less infeasible than the start, 1 (violation 3)"),  # the bound is -2
+        (-1.0, 0.0, "feasible, unlike the start (objective 1, violation 1)"),  # its objective, 4, is larger
+        (0.5, 0.0, "better than the start (objective 1)"),
+        (-3.0, 0.0, "less infeasible than the start (objective 1, violation 3)"),  # the bound is -2
     ],
 )
 def test_a_feasible_design_is_better_than_an_infeasible_start(limit: float, begin: float, text: str) -> None:

@@ -48,7 +48,7 @@ def test_numbers_of_a_study_are_of_one_model(tmp_path: Path, empty_store: Path) 
     assert code == 0, output.getvalue()
     tags = find(tracker.uri, tracker.record.runs["study"]).tags
     assert tags["accuracy"] == best.problem.accuracy
-    assert "1 of 1 start converged; better than the start, 2" in tags["search"]
+    assert "1 of 1 start converged; better than the start (objective 2)" in tags["search"]
     assert "lower bound of bob.mass" in tags["active"]
     assert "active: lower bound of bob.mass" in output.getvalue()
     assert "none failed" in output.getvalue()

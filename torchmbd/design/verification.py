@@ -389,7 +389,7 @@ def _faults_of_gain(objective: _Response, claimed: bool) -> list[_Fault]:
         return [_Fault(text, objective, need)]
     shares = [100.0 * g / abs(f) if f else math.inf for g, f in ((gain, first), (finer, finer_first))]
     change = (
-        f"; these differ by {100.0 * error / size:.3g} %, and at most {100.0 * GAIN:g} % is accepted" if size else ""
+        f"; these differ by {100.0 * error / size:,.1f} %, and at most {100.0 * GAIN:g} % is accepted" if size else ""
     )
     text = (
         f"the objective improves by {gain:.4g} ({shares[0]:.4g} %), but by {finer:.4g} ({shares[1]:.4g} %) in the finer model"

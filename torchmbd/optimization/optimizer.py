@@ -172,10 +172,9 @@ def gain_text(result: OptimizationResult, first: Iterate | None) -> str:
     """
     if first is None or not math.isfinite(first.objective) or not math.isfinite(result.value):
         return "the start could not be evaluated"
-    start = f"the start, {result.sign * first.objective:.6g}"
     violated, start_violated = result.violation > result.feasibility, first.violation > result.feasibility
-    if start_violated:
-        start += f" (violation {first.violation:.3g})"
+    violation = f", violation {first.violation:.3g}" if start_violated else ""
+    start = f"the start (objective {result.sign * first.objective:.6g}{violation})"
     if violated != start_violated:
         return f"infeasible, unlike {start}" if violated else f"feasible, unlike {start}"
     words = ("better than", "worse than", "equal to")
@@ -282,9 +281,8 @@ class OptimizationResult(Summary):
     def search_text(self) -> str:
         """How the search ended, whether its design is better than the start, and how many evaluations failed."""
         ending = "converged" if self.converged else f"not converged ({self.status}: {self.message})"
-        failures = (
-            [] if self.status == "many_failures" else [failures_text(self.analyses, self.reasons)]
-        )  # in the message
+        told = self.status == "many_failures"  # in the message
+        failures = [] if told else [failures_text(self.analyses, self.reasons)]
         return "; ".join([ending, self.gain_text, *failures])
 
     @property

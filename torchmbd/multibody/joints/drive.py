@@ -59,17 +59,19 @@ class Drive(Joint):
         name: str | None = None,
     ):
         super().__init__(as_frame(a), as_frame(b), name)
+        self.axis = self.common_axis(axis)
         laws = {"speed": speed, "angle": angle, "velocity": velocity, "position": position}
         laws = {key: x for key, x in laws.items() if x is not None}
         if len(laws) != 1:
             raise InputError(
                 (self.name,),
                 allowed="must have exactly one of speed, angle, velocity, position",
+                hint="speed=2.0, or angle=mbd.SmoothStep(...)",
                 noun=repr(self.name),
                 state=f"has {laws or 'no law'}",
             )
         ((key, x),) = laws.items()
-        self.axis, self.travels = self.common_axis(axis), key in ("velocity", "position")
+        self.travels = key in ("velocity", "position")
         if key in ("speed", "velocity"):
             x = ConstantSpeed(finite((self.name, key), x))
         self.law = _checked(self.name, key, x)

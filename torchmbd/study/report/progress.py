@@ -232,7 +232,7 @@ def print_table(table: Table, console: Console, optional: Sequence[int] = ()) ->
 
 def change_cell(reduction: float, sign: float) -> str:
     """Return the cell of the change of an objective, negative where it fell, from the reduction [%] of what is minimized."""
-    return f"{-sign * reduction:+.2f} %" if math.isfinite(reduction) else "-"
+    return f"{-sign * reduction:+z.2f} %" if math.isfinite(reduction) else "-"
 
 
 def outcome_cells(first: float, objective: float, violation: float, sign: float = 1.0) -> list[str]:
