@@ -6,7 +6,6 @@ the same numbers of pressure and density.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -15,21 +14,9 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import INERTIA, SOFT, tensor, turned
+from tests.units import Units
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # of unusual units
-
-
-@dataclass(frozen=True)
-class Units:
-    """Numbers of the meter, the kilogram and the second."""
-
-    length: float = 1.0
-    mass: float = 1.0
-    time: float = 1.0
-
-    def __call__(self, x: Any, length: float = 0.0, mass: float = 0.0, time: float = 0.0) -> list[float]:
-        factor = self.length**length * self.mass**mass * self.time**time
-        return (factor * torch.as_tensor(x, dtype=torch.float64)).tolist()
 
 
 UNITS = {"mm, t, s": Units(1e3, 1e-3), "km, g, ms": Units(1e-3, 1e3, 1e3)}

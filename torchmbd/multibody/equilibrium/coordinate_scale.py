@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.equations import Placement
+from torchmbd.multibody.equations.sizes import extent
 from torchmbd.multibody.equations.topology import Topology
 
 
@@ -34,8 +35,7 @@ def _size(T: Topology, data: Data, at: Placement, q: Tensor, mass: Tensor) -> Te
     n, lanes = T.bodies, q.shape[-1]
     is_point = torch.tensor([x.is_point for x in T.attached], dtype=torch.bool)
     points = torch.cat([q[: 3 * n, 0].reshape(3, n, lanes), at.g[:, is_point, 0].expand(-1, -1, lanes)], 1)
-    distance = (points - points.mean(1, keepdim=True)).norm(dim=0).amax(0)
     moment = data["P0"][:, :, :n, 0].diagonal(dim1=0, dim2=1).sum(-1)  # integral of x . x dm
     gyration = (moment.clamp_min(0.0) / mass).sqrt().amax(0)
-    size = torch.maximum(2.0 * distance, gyration)
+    size = torch.maximum(extent(points), gyration)
     return torch.where(size > 0.0, size, 1.0)

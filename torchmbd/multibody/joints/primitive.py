@@ -15,6 +15,7 @@ All primitives of one kind are evaluated together; `members` holds, for each arg
 The contract of a kind:
 
     rows                         equations of one primitive
+    is_length                    whether these are lengths
     phi(vectors, drive)          [rows, n, ...] on numbers or on time jets: velocities and gamma come from the jets
     forces(vectors, lam, drive)  gradient of sum(lam * phi) by each vector, [3, n, ...] for each argument
 
@@ -64,6 +65,7 @@ class Primitive:
     data: tuple = ()
     turns: tuple[Tensor, ...] = ()
     rows: ClassVar[int]
+    is_length: ClassVar[bool] = True
     arguments: ClassVar[tuple[str, ...]]
     constants: ClassVar[int] = 0
     driven: ClassVar[int] = 0
@@ -95,6 +97,10 @@ class Primitive:
     def drive(cls, x) -> tuple:
         """Arguments of the equation out of a prescribed x, a number or a jet."""
         raise NotImplementedError
+
+    def sizes(self, size: float) -> Tensor:
+        """Sizes [n] of the equations in a mechanism of a size [m], in their unit (multibody/equations/sizes.py)."""
+        return torch.full((len(self.members[0]),), size if self.is_length else 1.0, dtype=torch.float64)
 
     @cached_property
     def numbers(self) -> Any:
@@ -135,6 +141,7 @@ class Perpendicular(Primitive):
     """An axis of one body stays perpendicular to an axis of another."""
 
     rows = 1
+    is_length = False
     arguments = ("axis", "axis")
 
     def phi(self, vectors, drive=None):
@@ -185,6 +192,7 @@ class Angle(Primitive):
     """The axis x of body b stands at a prescribed angle from the axis x of body a, towards y of a."""
 
     rows = 1
+    is_length = False
     arguments = ("axis", "axis", "axis")
     driven = 2
     prescribes = True

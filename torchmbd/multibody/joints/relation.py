@@ -81,6 +81,11 @@ class Relation(Primitive):
         factors = torch.stack(self._factors(data)[: self.driven - 1])[self.angles if self.travels else 0 :]
         return factors[..., 0, 0].abs().amax(0)
 
+    def sizes(self, size: float) -> Tensor:
+        units = torch.tensor([1.0] * self.angles + [size] * self.travels, dtype=torch.float64)
+        factors = torch.tensor([x.numbers[:-1] for x in self.data], dtype=torch.float64)
+        return (factors.abs() * units).amax(1)
+
     def _groups(self, vectors: list) -> list[list]:
         """The vectors of each coordinate."""
         return [vectors[3 * i : 3 * i + 3] for i in range(self.angles + self.travels)]

@@ -8,7 +8,7 @@
 
 A gap does not count the elastic displacements that bodies were given, because joints are meant to follow a bent body.
 Source of the limit of the warning: positions are typed with three digits or more, so a share of 1e-3 of the size of the
-mechanism (the diagonal of the box about all points and origins), or 1e-3 rad, is rounding, and more is a mistake.
+mechanism as it was built (equations/sizes.py), or 1e-3 rad, is rounding, and more is a mistake.
 Checked in tests/multibody/start/test_closing.py.
 """
 
@@ -22,14 +22,17 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import warn
-from torchmbd.math.plausible_units import EXTENT
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.joints.primitive import Angle, Perpendicular
 from torchmbd.multibody.joints.relation import Relation
 
 _FAR = 1e-3  # share of the size of the mechanism [-], angle [rad]: see the header
+<<<<<<< HEAD
 _SMALLEST = EXTENT[0]  # [m] size of a mechanism: points that all lie at one place differ by rounding
 _ROUNDING = 1e-9  # lengths as shares of this size, and angles [rad], that are not listed
+=======
+_ROUNDING = 1e-9  # the same below which nothing is listed
+>>>>>>> hB
 _SHOWN = 4  # joints, and bodies, in a warning
 
 
@@ -70,10 +73,7 @@ class Closing:
         before, after, still = (
             equations.placement(T, data, q, T.prescribed(t, data)) for q in (start, closed, undeformed)
         )
-        points = torch.tensor([x.is_point for x in T.attached], dtype=torch.bool)
-        origins = start[: 3 * T.bodies, 0, 0].reshape(3, -1)
-        places = torch.cat([origins, before.g[:, points, 0, 0]], 1)
-        size = max(float((places.amax(1) - places.amin(1)).norm()), _SMALLEST)
+        size = dynamics.initial.size
         gaps, phi = {}, equations.constraints(T, still)[:, 0, 0].abs()
         for kind, rows in T.row_slices():
             if isinstance(kind, Relation):

@@ -1,8 +1,9 @@
 """Consistent initial conditions: joints closed by Newton's method, then compatible velocities.
 
 Modal coordinates start as they were given (modal_start.py), by default undeformed and at rest in their body frames; the
-rigid coordinates move as little as possible (minimum norm) from the given approximate positions and velocities. Rates that
-satisfy the constraints have three levels, and a level changes only where no rates of the levels before it would do:
+rigid coordinates move as little as possible (minimum norm) from the given approximate positions and velocities, where a turn
+by 1 rad counts as much as a way of the size of the mechanism (equations/sizes.py). Rates that satisfy the constraints have
+three levels, and a level changes only where no rates of the levels before it would do:
 
     1  rigid velocities that were not given       least sum of squares
     2  rigid velocities that were given           least change
@@ -42,6 +43,7 @@ from torchmbd.math.rotation import euler_parameters, rotation_matrix
 from torchmbd.multibody.bodies.frame import given_velocities
 from torchmbd.multibody.equations import base_points, equations
 from torchmbd.multibody.equations.beams import stored_energy
+from torchmbd.multibody.equations.sizes import extent, rate_sizes, row_sizes
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.saddle.condensation import Condensation, condense
 from torchmbd.multibody.saddle.rank import Rank
@@ -49,8 +51,10 @@ from torchmbd.multibody.start.closing import Closing, warn_far
 from torchmbd.multibody.start.rate_levels import RateLevel, rate_levels
 from torchmbd.multibody.start.rigid_groups import RigidGroups
 
-_CLOSED = 1e-11  # [m] or [-]: largest violation of a closed joint
-_STRAINING = 1e-8  # [m] or [-]: largest violation of joints after rigid motions that strains beams without a warning
+_CLOSED = 1e-11  # share of the size of a row: largest violation of a closed joint
+_ROUNDING = 1e-14  # share of the distance from the origin of ground: the same, by rounding of positions
+_STRAINING = 1e-8  # share of the size of a row: violation after rigid motions that strains beams without a warning
+_WITHOUT_EXTENT = 1e-9  # share of the radius of gyration: rounding of points that all lie at one place
 _STEPS = 50
 _KEPT = 1e-6  # share of the largest given velocity by which one may change without a warning
 _OPEN = 1e-9  # share of the largest rate by which rounding leaves constraint rates open
@@ -94,6 +98,25 @@ def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
     return torch.nn.functional.pad(x[..., :count], (0, modes - min(count, x.shape[-1])))
 
 
+def _size(T: Topology, bodies: list[Any], q: Tensor, built: Tensor) -> float:
+    """The size [m] of bodies at coordinates q [n_q] with attached vectors [3, vectors, 1]: without extent the largest radius of
+    gyration of a rigid body, or 1 m."""
+    r, p, _ = equations.split_q(T, q[:, None, None])
+    points = [r[:, :, 0]]
+    for i, (attached, body) in enumerate(zip(T.attached, T.vector_body.tolist(), strict=True)):
+        if attached.is_point:
+            x = built[:, i]
+            points.append(
+                (r[:, body, 0] + rotation_matrix(p[:, body])[..., 0, 0] @ x if body < T.bodies else x)[:, None]
+            )
+    rigid = [
+        (untransformed(x).detach() for x in (b.second_moment, b.mass)) for b in bodies if hasattr(b, "second_moment")
+    ]
+    moments = [(P.diagonal(dim1=-2, dim2=-1).sum(-1) / mass).max() for P, mass in rigid]
+    size, gyration = float(extent(torch.cat(points, 1))), max(map(float, moments), default=0.0) ** 0.5
+    return size if size > _WITHOUT_EXTENT * gyration else gyration or 1.0
+
+
 class DoesNotClose(InputError):
     """No rigid displacement closes the joints."""
 
@@ -116,6 +139,7 @@ class InitialConditions:
     """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies, v of their origins (base_points.py).
 
     rate_mask   which velocities users gave [n_v];  built: attached vectors [3, vectors, 1] of the model as it was built
+    size        of that model [m] (equations/sizes.py)
     """
 
     topology: Topology
@@ -124,6 +148,7 @@ class InitialConditions:
     v: Tensor
     rate_mask: Tensor
     built: Tensor
+    size: float
     # inputs (attached points, and laws with their slopes at the start), and the start that designs share with these
     _last: list[tuple[list[Tensor], SharedStart | None]] = field(default_factory=list, init=False, repr=False)
 
@@ -140,7 +165,7 @@ class InitialConditions:
         for i, x in enumerate(topology.attached):
             built[:, i, 0] = topology.from_base_point(i, untransformed(x.now()).reshape(-1, 3)[0])
         q = base_points.of_origins(topology.base_points, start["q0"][:, None, None])[:, 0, 0]
-        return cls(topology, q, start["v0"], torch.cat([mask, modal]), built)
+        return cls(topology, q, start["v0"], torch.cat([mask, modal]), built, _size(topology, bodies, q, built))
 
     @cached_property
     def condensed(self) -> Condensation | None:
@@ -180,8 +205,8 @@ class InitialConditions:
             return False
         joints = _Joints.of(undeformed, q, q.new_zeros(()), [self.rigid_mask], self.topology.base_points)
         x = joints.rates(v)
-        size = max(float(y.abs().max()) for y in (v, x))
-        return float(joints.open_rates(x).abs().max()) > _OPEN * size
+        open_rates, *largest = (y.abs().max() for y in (joints.open_rates(x), v / joints.s, x / joints.rho))
+        return float(open_rates) > _OPEN * float(max(largest))
 
     def open(self, dynamics: Any) -> tuple[Tensor, Closing]:
         """Where the bodies of one design were put [n_q, 1, 1], and what is open there."""
@@ -228,12 +253,12 @@ class InitialConditions:
             return q, v
         start = value(q).detach()
         if T.beams is not None:
-            q = RigidGroups.by_beams(T).closed(dynamics, q, t, _CLOSED)
+            q = RigidGroups.by_beams(T).closed(dynamics, q, t, self._closed(q))
         unstrained = value(q).detach()
         for step in range(_STEPS):
             joints = _Joints.of(dynamics, q, t, self.closing_levels)
             phi = joints.violation()
-            if float(untransformed(value(phi)).abs().max()) < _CLOSED:
+            if bool((untransformed(value(phi)).abs() <= self._closed(q)).all()):
                 if step or T.beams is not None:
                     dynamics.outside_transforms(self._warn_moved, start, value(q).detach())
                 if step and T.beams is not None:
@@ -243,8 +268,18 @@ class InitialConditions:
             residual = phi + joints.changes(s)
             q = equations.advance(T, q, s + joints.jacobian_part(s) - joints.correction(residual))
         else:
-            outside_transforms(self._refuse, value(phi))
+            outside_transforms(self._refuse, value(phi), self._closed(q).expand_as(value(phi)))
         return equations.advance(T, q, -joints.correction(phi)), v
+
+    def _closed(self, q: Any) -> Tensor:
+        """Largest violations [rows, 1, 1] of closed joints at coordinates q [n_q, ...]."""
+        far = float(untransformed(value(q))[: 3 * self.topology.bodies].abs().max())
+        return self._row_sizes * (_CLOSED + _ROUNDING * far / self.size)
+
+    @property
+    def _row_sizes(self) -> Tensor:
+        """Of rows [rows, 1, 1]."""
+        return row_sizes(self.topology, self.size)[:, None, None]
 
     def _given_positions(self, data: Any) -> Any:
         """Coordinates that the bodies were given [n_q, ...]."""
@@ -261,7 +296,9 @@ class InitialConditions:
 
     def _warn_moved(self, dynamics: Any, start: Tensor, q: Tensor) -> None:
         """Warn of joints that are open in the model as it was built. That other designs move bodies is what they are for."""
-        if not float((q - start).abs().max()) > _CLOSED:
+        places = slice(3 * self.topology.bodies)
+        ways = float((q - start)[places].abs().max()) / self.size, float((q - start).abs()[places.stop :].max())
+        if not max(ways) > _CLOSED:
             return
         same = (value(dynamics.data["x"])[:, :, 0].detach() == self.built).all(0).all(0)
         if bool(same.any()):
@@ -274,8 +311,9 @@ class InitialConditions:
         """Warn of joints that no rigid motion of exact beams closes."""
         T, data, t = self.topology, dynamics.values().data, torch.zeros((), dtype=torch.float64)
         before, after = (equations.placement(T, data, x, T.prescribed(t, data)) for x in (unstrained, q))
-        gap = float(equations.constraints(T, before).abs().max())
-        if gap > _STRAINING:
+        gaps = equations.constraints(T, before).abs()
+        if bool((gaps > _STRAINING * self._row_sizes).any()):
+            gap = float(gaps.max())
             energy = float((stored_energy(T, data, after) - stored_energy(T, data, before)).max())
             warn(  # few different texts: Python shows each once in an optimization
                 f"closing the joints strains exact beams, because rigid motions leave gaps of {gap:.1g} m or rad. The "
@@ -298,12 +336,13 @@ class InitialConditions:
     def _warn_changed(self, v: Tensor, s: Tensor) -> None:
         """Warn of given velocities v that corrections s change [n_v, 1, lanes]."""
         v, s = v[:, 0], s[:, 0]
-        n, changed = self.topology.bodies, []
+        n, changed, sizes = self.topology.bodies, [], rate_sizes(self.topology, self.size)
+        shares = s / sizes[:, None], v / sizes[:, None]
         for k, (kind, unit) in enumerate((("velocity", "m/s"), ("angular velocity", "rad/s"))):
             for i, name in enumerate(self.topology.names):
                 rows = [3 * n * k + n * j + i for j in range(3)]
-                change, lane = s[rows].norm(dim=0).max(0)
-                if self.rate_mask[rows[0]] and float(change) > _KEPT * float(v[:, lane].abs().max()):
+                change, lane = shares[0][rows].norm(dim=0).max(0)
+                if self.rate_mask[rows[0]] and float(change) > _KEPT * float(shares[1][:, lane].abs().max()):
                     before, new = (", ".join(f"{x:.4g}" for x in y[rows, lane].tolist()) for y in (v, v + s))
                     changed.append((-float(change), f"{kind} of {name!r} given ({before}), starts with ({new}) {unit}"))
         if changed:
@@ -313,10 +352,12 @@ class InitialConditions:
                 + (f"; and {more} more" if more > 0 else ""),
             )
 
-    def _refuse(self, phi: Tensor) -> None:
-        T, phi = self.topology, phi.abs().amax((1, 2))
-        worst = torch.argsort(phi, descending=True)[:4]
-        rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > _CLOSED)
+    def _refuse(self, phi: Tensor, closed: Tensor) -> None:
+        T, phi, closed = self.topology, phi.abs().amax((1, 2)), closed[:, 0, 0]
+        worst = torch.argsort(phi / closed, descending=True)[:4]
+        rows = "; ".join(
+            f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > closed[i]
+        )
         raise DoesNotClose(
             "joints",
             allowed="must have positions from which Newton's method can close all joints"
@@ -330,6 +371,7 @@ class InitialConditions:
 class _Joints:
     """The joints of all lanes at coordinates q and time t; level: the last of the rates that satisfy them.
 
+    rho, s  sizes of rows [rows, 1, 1] and rates [n_v, 1, 1], by which those of the level are divided
     arms   base points of the bodies where rates v, s are those of origins; None: they are those of base points
     """
 
@@ -337,6 +379,8 @@ class _Joints:
     at: equations.Placement
     t: Tensor
     level: RateLevel
+    rho: Tensor
+    s: Tensor
     arms: Tensor | None
 
     @classmethod
@@ -348,8 +392,10 @@ class _Joints:
         J = dynamics.saddle.jacobian(values, plain)
         J = base_points.forces_on_origins(arms, plain.A[:, :, : T.bodies], J.permute(2, 1, 0)).permute(2, 1, 0)
         at = equations.placement(T, data, q, T.prescribed(t, data))
-        levels = rate_levels(T, J, [mask.to(J.device) for mask in masks if bool(mask.any())])
-        return cls(dynamics, at, t, levels, arms)
+        size = dynamics.initial.size
+        rho, s = row_sizes(T, size).to(J.device), rate_sizes(T, size).to(J.device)
+        levels = rate_levels(T, J * s / rho[:, None], [mask.to(J.device) for mask in masks if bool(mask.any())])
+        return cls(dynamics, at, t, levels, rho[:, None, None], s[:, None, None], arms)
 
     def violation(self) -> Any:
         """Phi [rows, ...]."""
@@ -376,15 +422,15 @@ class _Joints:
 
     def correction(self, x: Any) -> Any:
         """K x [n_v, ...] of x [rows, ...]."""
-        return linear(lambda y: apply(self.level.K, y), x)
+        return linear(lambda y: self.s * apply(self.level.K, y / self.rho), x)
 
     def open_rates(self, x: Tensor) -> Tensor:
-        """The part of constraint rates x [rows, ...] that no rates of the levels make."""
-        return x - apply(self.level.made, x)
+        """The part of constraint rates x [rows, ...] that no rates of the levels make, divided by sizes of rows."""
+        return x / self.rho - apply(self.level.made, x / self.rho)
 
     def jacobian_part(self, s: Tensor) -> Any:
         """D [n_v, ...]: derivatives of J in a correction s at fixed Phi + J s, of value zero."""
-        D = self.level.changes(s, self._constraint_forces)
+        D = self.s * self.level.changes(s / self.s, lambda y: self.s * self._constraint_forces(y / self.rho))
         return D - value(D).detach()  # rounding, of small bodies with large modes
 
     def _constraint_forces(self, y: Tensor) -> Any:

@@ -10,6 +10,7 @@
     ds = D + K (dx - dJ s)
     D = (1 - L A) (u - C A u) + D of the levels before it,   u = dA' y - A' L' dR' y
 
+Rates and rows are divided by their sizes (equations/sizes.py), so that sums of squares do not depend on the unit of length.
 Differentiable: `RateLevel.changes` is D, of forces J' y that have the derivatives of J.
 Assumed: constant rank.
 Source: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (pseudo-inverse of constant rank).

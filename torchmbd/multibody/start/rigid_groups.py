@@ -5,6 +5,8 @@
     y = -J~+ Phi,   J~ = Phi_q R,   R = dq/dy at y = 0
     dy = -J~+ (dPhi + dJ~ y) + (1 - J~+ J~) dJ~' J~+' y          by the design, as in initial.py
 
+Rows are divided by their sizes, and V by the size of the mechanism (equations/sizes.py).
+
 A body without elements is a group of its own; a group that elements tie to the ground cannot move.
 Checked in tests/multibody/start/test_rigid_groups.py.
 """
@@ -21,6 +23,7 @@ from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import apply, cat, cross, linear, matvec, matvec_t, value
 from torchmbd.math.rotation import exponential, quaternion_product, rotation_matrix
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.sizes import row_sizes
 from torchmbd.multibody.equations.topology import Topology
 
 _STEPS = 50
@@ -52,18 +55,19 @@ class RigidGroups:
         free = torch.tensor([float(k != of_ground) for k in names], dtype=torch.float64)
         return cls(T, of, members / members.sum(1, keepdim=True), free)
 
-    def closed(self, dynamics: Any, q: Any, t: Tensor, small: float) -> Any:
-        """Coordinates [n_q, pair, lanes] with the joints closed as far as groups can; small: violation of a closed joint."""
+    def closed(self, dynamics: Any, q: Any, t: Tensor, small: Tensor) -> Any:
+        """Coordinates [n_q, pair, lanes] with the joints closed as far as groups can; small: violations of closed ones [rows,
+        1, 1]."""
         before = torch.inf
         for _ in range(_STEPS):
-            q, violation = self._step(dynamics, q, t)
-            if violation < small or not violation < _SLOW * before:
+            q, violation = self._step(dynamics, q, t, small)
+            if violation <= 1.0 or not violation < _SLOW * before:
                 return q
             before = violation
         return q
 
-    def _step(self, dynamics: Any, q: Any, t: Tensor) -> tuple[Any, float]:
-        """q after a step, and the largest violation before it."""
+    def _step(self, dynamics: Any, q: Any, t: Tensor, small: Tensor) -> tuple[Any, float]:
+        """q after a step, and the largest violation before it, as a multiple of `small`."""
         T, data = self.topology, dynamics.data
         values = {name: value(x).detach() for name, x in data.items()}
         plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
@@ -71,16 +75,21 @@ class RigidGroups:
         J = dynamics.saddle.jacobian(values, plain)[:, :, : 6 * T.bodies]
         unit = torch.eye(6 * len(self.free), dtype=torch.float64)[..., None] * self.free.repeat(6)[:, None, None]
         R = self._rates(value(q).detach(), unit.expand(-1, -1, J.shape[0]))[: 6 * T.bodies].permute(2, 0, 1)
-        J = J @ R  # [lanes, rows, 6 groups]
-        U, s, Vh = torch.linalg.svd(J, full_matrices=False)
-        inverse = Vh.mT @ (torch.where(s > _RANK * s[:, :1], 1.0 / s, 0.0)[..., None] * U.mT)
+        size, n = dynamics.initial.size, 3 * len(self.free)
+        rho, s = (
+            row_sizes(T, size)[:, None, None],
+            torch.tensor([size] * n + [1.0] * n, dtype=torch.float64)[:, None, None],
+        )
+        J = (J @ R) * s[:, 0, 0] / rho[:, 0]  # [lanes, rows, 6 groups]
+        U, sigma, Vh = torch.linalg.svd(J, full_matrices=False)
+        inverse = Vh.mT @ (torch.where(sigma > _RANK * sigma[:, :1], 1.0 / sigma, 0.0)[..., None] * U.mT)
         phi = equations.constraints(T, at)
-        y = -apply(inverse, value(phi).detach())
-        residual = phi + equations.constraint_changes(T, at, data, self._rates(q, y))
-        forces = self._forces(q, equations.constraint_forces(T, data, at, apply(inverse.mT, y)))
-        turned = linear(lambda u: u - apply(inverse, apply(J, u)), forces)
-        y = y + turned - linear(lambda x: apply(inverse, x), residual)
-        return self._moved(q, y), float(untransformed(value(phi)).abs().max())
+        y = -apply(inverse, value(phi).detach() / rho)  # divided by s
+        residual = phi + equations.constraint_changes(T, at, data, self._rates(q, s * y))
+        forces = self._forces(q, equations.constraint_forces(T, data, at, apply(inverse.mT, y) / rho))
+        turned = linear(lambda u: s * u - apply(inverse, apply(J, s * u)), forces)
+        y = y + turned - linear(lambda x: apply(inverse, x / rho), residual)
+        return self._moved(q, linear(lambda u: s * u, y)), float((untransformed(value(phi)).abs() / small).max())
 
     def _arms(self, q: Any) -> tuple[Any, Any, Any]:
         """Centers of the groups of all bodies, origins from these [3, bodies, ...] and Euler parameters."""

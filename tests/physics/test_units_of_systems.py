@@ -1,0 +1,271 @@
+"""Whole systems are the same in other units, at another place, in another direction, with other names and in another order.
+
+A `World` states a system of units, and where the whole system stands: it makes all numbers of a model, and turns results back
+into SI units at the origin. Every number with a unit goes through it. Bounds are relative to the largest number of a quantity.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import INERTIA, SOFT, tensor, turned
+from tests.units import Units
+
+EYE = torch.eye(3, dtype=torch.float64)
+USUAL = ("units of ", "radius of gyration")  # begins of warnings of numbers that are unusual in SI units
+
+
+@dataclass(frozen=True)
+class World:
+    """Units, a rotation of the whole system, and then its displacement [m]."""
+
+    units: Units = field(default_factory=Units)
+    turn: Tensor = field(default_factory=lambda: EYE)
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    reverse: bool = False  # lists of bodies, joints and forces
+    prefix: str = ""  # of names
+
+    def __call__(self, x: Any, length: float = 0.0, mass: float = 0.0, time: float = 0.0) -> Any:
+        """SI numbers in these units."""
+        return self.units(x, length, mass, time)
+
+    def name(self, name: str) -> str:
+        return self.prefix + name
+
+    def point(self, *x: float) -> list[float]:
+        """Of the ground, from SI numbers."""
+        return self(self.turn @ tensor(*x) + tensor(*self.place), 1)
+
+    def vector(self, x: Sequence[float], length: float = 0.0, mass: float = 0.0, time: float = 0.0) -> list[float]:
+        """In ground axes."""
+        return self(self.turn @ tensor(*x), length, mass, time)
+
+    def ground(self, *x: float, axes: Tensor = EYE) -> mbd.Frame:
+        return mbd.Ground().at(*self.point(*x), axes=self.turn @ axes)
+
+    def at(self, body: Any, *x: float, axes: Tensor | None = None) -> mbd.Frame:
+        return body.at(*self(tensor(*x), 1), axes=axes)
+
+    def box(
+        self, name: str, position: Sequence[float], axes: Tensor = EYE, mass: float = 0.7, **rates: Any
+    ) -> mbd.RigidBody:
+        """With products of inertia and an eccentric center."""
+        if "velocity" in rates:
+            rates["velocity"] = self.vector(rates["velocity"], 1, 0, -1)
+        if "angular_velocity" in rates:  # in axes of the body
+            rates["angular_velocity"] = self(tensor(*rates["angular_velocity"]), 0, 0, -1)
+        return mbd.RigidBody(
+            self.name(name),
+            self(mass, 0, 1),
+            self(mass / 0.7 * INERTIA, 2, 1),
+            center=self((0.03, -0.02, 0.04), 1),
+            position=self.point(*position),
+            axes=self.turn @ axes,
+            **rates,
+        )
+
+    def plate(self, name: str, position: Sequence[float], axes: Tensor = EYE, **given: Any) -> mbd.FlexibleBody:
+        """A soft laminated plate of 0.3 m x 0.1 m, whose two ply angles vary."""
+        ply = {key: self(x, -1, 1, -2) for key, x in SOFT.items()} | {
+            "nu12": SOFT["nu12"],
+            "density": self(1586.0, -3, 1),
+        }
+        laminate = mbd.Laminate(mbd.Ply(**ply), mbd.deg([20.0, -50.0]), thickness=self(1.5e-3, 1))
+        mesh = mbd.mesh.rectangle(self(0.3, 1), self(0.1, 1), (4, 2))
+        given = {"modes": 2, "damping": self(1e-3, 0, 0, 1)} | given
+        return mbd.FlexibleBody.plate(
+            self.name(name), mesh, laminate, position=self.point(*position), axes=self.turn @ axes, **given
+        )
+
+    def system(self, bodies: list, joints: list, forces: Sequence = (), **given: Any) -> mbd.System:
+        step = -1 if self.reverse else 1
+        gravity = self.vector((1.5, -9.0, 3.5), 1, 0, -2)
+        return mbd.System(bodies[::step], joints[::step], list(forces)[::step], gravity=gravity, **given)
+
+    def back(self, x: Tensor) -> Tensor:
+        """Positions [..., 3] in SI units at the origin."""
+        return (x / self.units.length - tensor(*self.place)) @ self.turn
+
+
+def mechanism(w: World, gap: float = 0.0) -> mbd.System:
+    """A drive, a rack, a screw and a gear; a laminated plate on a turned hinge; springs, a damper and a bushing.
+
+    gap   by which joints are open where the bodies were put [m]; [rad] by turns
+    """
+    tilt, swing = turned(0.2, 0.5, -0.4), turned(-0.5, 0.2, 0.9)
+    crank = w.box("crank", (0.1, 0.05, -0.02), turned(0.4, -0.7, 0.3))
+    wheel = w.box("wheel", (0.3 + gap, 0.4, 0.1), tilt)
+    slider = w.box("slider", (-0.2, 0.3, 0.2 - gap), swing @ turned(0.0, gap, 0.0))
+    nut = w.box("nut", (0.5, -0.3, 0.4), tilt)
+    arm = w.box("arm", (-0.4, 0.1, 0.1 + gap), swing)
+    tip = tensor(-0.4, 0.1, 0.1) + swing @ tensor(0.2, 0.1, -0.05)
+    sheet = w.plate("sheet", (tip + swing @ tensor(0.15, gap, 0.0)).tolist(), swing)
+    name = w.name
+    hinge = mbd.Revolute(w.ground(0.1, 0.05, -0.02, axes=tilt), crank.at(), "x", name("hinge"))
+    axle = mbd.Revolute(w.ground(0.3, 0.4, 0.1, axes=tilt), wheel.at(), "z", name("axle"))
+    slide = mbd.Prismatic(w.ground(-0.2, 0.3, 0.2, axes=swing), slider.at(), "y", name("slide"))
+    guide = mbd.Cylindrical(w.ground(0.5, -0.3, 0.4, axes=tilt), nut.at(), "x", name("guide"))
+    joints = [
+        hinge,
+        axle,
+        slide,
+        guide,
+        mbd.Spherical(w.ground(-0.4, 0.1, 0.1), arm.at(), name("ball")),
+        mbd.Revolute(w.at(arm, 0.2, 0.1, -0.05), sheet.at("left"), "y", name("leaf")),
+        mbd.JointCoupling([hinge.angle, axle.angle], [1.0, 2.0], name=name("gear")),
+        mbd.JointCoupling([axle.angle, slide.travel], [w(0.05, 1), 1.0], name=name("rack")),
+        mbd.JointCoupling([guide.angle, guide.travel], [w(0.01, 1), -1.0], name=name("screw")),
+    ]
+    forces = [
+        mbd.SpringDamper(
+            w.at(crank, 0.1, 0.0, 0.05),
+            w.ground(0.5, 0.2, 0.1),
+            stiffness=mbd.variable(w(40.0, 0, 1, -2)),
+            damping=w(0.3, 0, 1, -1),
+            rest=w(0.2, 1),
+            name=name("spring"),
+        ),
+        mbd.SpringDamper(
+            w.at(nut, 0.0, 0.1, 0.0),
+            w.ground(0.5, 0.3, 0.1),
+            w(500.0, 0, 1, -2),
+            w(2.0, 0, 1, -1),
+            w(0.3, 1),
+            name=name("pull"),
+        ),
+        mbd.Bushing(
+            w.ground(0.1, 0.2, 0.3),
+            w.at(arm, 0.05, 0.02, 0.01),
+            stiffness=w((300.0, 200.0, 500.0), 0, 1, -2),
+            damping=w(1.0, 0, 1, -1),
+            turning_stiffness=w((4.0, 2.0, 3.0), 2, 1, -2),
+            name=name("mount"),
+        ),
+        mbd.SpringDamper(
+            w.ground(-0.2, 0.5, 0.4), sheet.at("right"), w(20.0, 0, 1, -2), 0.0, w(0.2, 1), name=name("thread")
+        ),
+    ]
+    return w.system([crank, wheel, slider, nut, arm, sheet], joints, forces)
+
+
+PARTS = ("crank", "wheel", "slider", "nut", "arm", "sheet")
+SPRING, ANGLES = "spring.stiffness", "sheet.laminate.angles"
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What must not depend on the world: numbers in SI units at the origin, and all that is counted or said.
+
+    derived   derivatives and reactions, in which errors of steps count more
+    """
+
+    values: dict[str, Tensor]
+    derived: dict[str, Tensor]
+    said: dict[str, Any]
+
+
+def said(w: World, caught: Sequence[warnings.WarningMessage]) -> list[str]:
+    """Begins of warnings, up to the first number, but those of unusual numbers and of other packages."""
+    texts = [str(x.message).replace(w.prefix, "") if w.prefix else str(x.message) for x in caught]
+    return sorted(re.split(r"\d", x)[0] for x in texts if not x.startswith(USUAL) and "torch.jit" not in x)
+
+
+def motion_facts(w: World, build: Callable[[World], mbd.System], duration: float = 0.02, **given: Any) -> Facts:
+    """Those of a motion, of `describe` and of the derivatives of two responses."""
+    u = w.units
+    energy = u.factor(2, 1, -2)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        system = build(w)
+        described = system.describe()
+        designs = {
+            name: system.get_parameter(w.name(name)).detach()[None].requires_grad_() for name in (SPRING, ANGLES)
+        }
+        T = w(duration, 0, 0, 1)
+        by_name = {w.name(name): x for name, x in designs.items()}
+        motion = mbd.simulate(system, T, steps=10, designs=by_name, backend="eager", **given)
+    sheet = motion.body(w.name("sheet"))
+    responses = {
+        "mean strain energy": mbd.Mean(mbd.StrainEnergy(w.name("sheet")))(motion)[0] / energy,
+        "angle": mbd.Final(mbd.Angle(w.name("crank"), "x", seen_from=w.name("arm")))(motion)[0],
+    }
+    derived = {
+        f"{response} by {name}": torch.autograd.grad(x, designs[name], retain_graph=True, materialize_grads=True)[0]
+        * (u.factor(0, 1, -2) if name == SPRING else 1.0)
+        for response, x in responses.items()
+        for name in designs
+    }
+    derived |= {
+        "force in leaf": motion.reaction(w.name("leaf")).force[0] / u.factor(1, 1, -2),
+        "torque in guide": motion.reaction(w.name("guide")).torque[0] / energy,
+    }
+    values = {f"place of {name}": w.back(motion.body(w.name(name)).r[0]) for name in PARTS}
+    values |= responses | {
+        "strain energy": sheet.strain_energy / energy,
+        "kinetic energy": motion.energies.kinetic / energy,
+        "frequencies": tensor(*described.frequencies).nan_to_num(0.0) * u.time,
+        "gaps": tensor(*(x.distance for x in sorted(described.closing.joints, key=lambda x: x.name))) / u.length,
+    }
+    d = described
+    counts = (d.rows, d.rank, d.freedoms, d.mobility, len(d.redundant), d.closing.far)
+    return Facts(
+        {k: x.detach() for k, x in values.items()},
+        {k: x.detach() for k, x in derived.items()},
+        {"status": motion.status, "counts": counts, "warnings": said(w, caught)},
+    )
+
+
+def check(result: Facts, expected: Facts, of_values: float = 1e-7, of_derived: float = 1e-6) -> None:
+    """Equal but for shares of the largest number of a quantity: what the iterations of steps leave depends on units."""
+    assert result.said == expected.said
+    for found, wanted, share in (
+        (result.values, expected.values, of_values),
+        (result.derived, expected.derived, of_derived),
+    ):
+        for name, x in wanted.items():
+            size = float(x.abs().max()) if x.numel() else 0.0
+            assert_close(found[name], x, rtol=0.0, atol=share * size, msg=lambda m, n=name: f"{n}: {m}")
+
+
+WORLDS = {
+    "mm, t, s": World(Units(1e3, 1e-3)),
+    "km, g, ms": World(Units(1e-3, 1e3, 1e3)),
+    "um, ug, ms": World(Units(1e6, 1e9, 1e3)),
+    "100 km, 1000 t, s": World(Units(1e-5, 1e-6, 1.0)),
+    "elsewhere": World(turn=turned(0.7, -1.3, 2.0), place=(60.0, -70.0, 40.0)),
+    "elsewhere in mm": World(Units(1e3, 1e-3), turned(0.7, -1.3, 2.0), (60.0, -70.0, 40.0)),
+    "other order and names": World(reverse=True, prefix="z_"),
+}
+
+
+@cache
+def expected_facts(gap: float) -> Facts:
+    return motion_facts(World(), partial(mechanism, gap=gap))
+
+
+THOROUGH = pytest.mark.thorough
+SOME = ("mm, t, s", "elsewhere")  # worlds of tests that are not thorough
+ALL = [pytest.param(name, marks=() if name in SOME else THOROUGH) for name in WORLDS]
+
+
+@pytest.mark.parametrize("world", ALL)
+def test_a_motion_is_the_same_in_any_world(world: str) -> None:
+    check(motion_facts(WORLDS[world], mechanism), expected_facts(0.0))
+
+
+@pytest.mark.parametrize("gap", [2e-4, 3e-3])
+@pytest.mark.parametrize("world", ALL)
+def test_joints_that_are_open_close_in_the_same_way(world: str, gap: float) -> None:
+    """By rounded positions, or by a mistake that gets a warning."""
+    check(motion_facts(WORLDS[world], partial(mechanism, gap=gap)), expected_facts(gap))
