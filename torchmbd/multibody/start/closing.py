@@ -27,12 +27,7 @@ from torchmbd.multibody.joints.primitive import Angle, Perpendicular
 from torchmbd.multibody.joints.relation import Relation
 
 _FAR = 1e-3  # share of the size of the mechanism [-], angle [rad]: see the header
-<<<<<<< HEAD
-_SMALLEST = EXTENT[0]  # [m] size of a mechanism: points that all lie at one place differ by rounding
 _ROUNDING = 1e-9  # lengths as shares of this size, and angles [rad], that are not listed
-=======
-_ROUNDING = 1e-9  # the same below which nothing is listed
->>>>>>> hB
 _SHOWN = 4  # joints, and bodies, in a warning
 
 
