@@ -108,8 +108,11 @@ def sharpened(problem: Problem, factor: float) -> Problem:
     result = copy.copy(problem)
     for name in ("reference", "steps", "coarse"):  # of the measures before
         result.__dict__.pop(name, None)
-    result.stated_objective, result.objective = change(problem.stated_objective), change(problem.objective)
-    result.constraints = [replace(c, measure=change(c.measure)) for c in problem.constraints]
+    vars(result).update(
+        stated_objective=change(problem.stated_objective),
+        objective=change(problem.objective),
+        constraints=[replace(c, measure=change(c.measure)) for c in problem.constraints],
+    )
     return result
 
 

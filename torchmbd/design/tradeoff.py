@@ -96,7 +96,7 @@ class Tradeoff(FixedArguments):
     def over(self, problem: Any) -> Tradeoff:
         """The same criteria with the evaluations of another problem, such as one that keeps them."""
         other = copy.copy(self)
-        other.problem = problem
+        vars(other)["problem"] = problem
         return other
 
     def motion(self, x: np.ndarray) -> Trajectory:

@@ -148,7 +148,7 @@ class RobustProblem(FixedArguments):
         if problem is None:
             return None
         other = copy.copy(self)
-        other.problem = problem
+        vars(other)["problem"] = problem
         return other
 
     def motion(self, x: np.ndarray) -> Any:

@@ -276,7 +276,12 @@ def _frame(view: BodyMotion, where: Where) -> Frame | None:
         return where
     if view.mesh is not None:
         return body.at(where)
-    if isinstance(where, str) or getattr(where, "ndim", 1) != 1 or not hasattr(where, "__len__") or len(where) != 3:
+    if (
+        isinstance(where, (str, int))
+        or getattr(where, "ndim", 1) != 1
+        or not hasattr(where, "__len__")
+        or len(where) != 3
+    ):
         raise InputError(
             "point", where, "three numbers in body axes [m]", noun=f"point of the rigid body {view.name!r}"
         )
