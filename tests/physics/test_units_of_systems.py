@@ -277,6 +277,26 @@ def test_joints_that_are_open_close_in_the_same_way(world: str, gap: float) -> N
     check(motion_facts(WORLDS[world], partial(mechanism, gap=gap)), expected_facts(gap))
 
 
+@THOROUGH
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of what the model leaves out, and of open joints
+def test_a_design_is_the_same_alone_and_in_a_batch() -> None:
+    """Motion and gradients, from joints that are open."""
+    system = mechanism(World(), gap=3e-3)
+    angles = mbd.deg([[20.0, -50.0], [35.0, -10.0], [80.0, 5.0]])
+    stiffness = tensor(40.0, 60.0, 20.0)
+    results = []
+    for lanes in ([0, 1, 2], [1]):
+        designs = {SPRING: stiffness[lanes].requires_grad_(), ANGLES: angles[lanes].requires_grad_()}
+        motion = mbd.simulate(system, 0.02, steps=10, designs=designs, backend="eager")
+        value = mbd.Mean(mbd.StrainEnergy("sheet"))(motion) + mbd.Final(mbd.Position("crank", "x"))(motion)
+        value.sum().backward()
+        lane = lanes.index(1)
+        of_lane = [motion.q[lane], motion.lam[lane], *(designs[name].grad[lane] for name in (SPRING, ANGLES))]
+        results.append([x.detach() for x in of_lane])
+    for x, y in zip(*results, strict=True):
+        assert_close(x, y, rtol=0.0, atol=1e-9 * float(y.abs().max()))
+
+
 def door(w: World) -> Facts:
     """Reactions of two hinges, of which one would do: the choice of least norm."""
     tilt, place = turned(0.2, 0.5, -0.4), tensor(0.3, 0.1, 0.2)
