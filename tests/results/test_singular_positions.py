@@ -152,12 +152,13 @@ def test_a_start_in_a_singular_position():
     assert motion.singular_positions()[0].t == 0.0
     assert float(distance(motion, 0.1, 0.3).max()) < 1e-5
     # TensorSignals at rest, the coupler contradicts the cranks: a start beside the motion is tried again with a new matrix.
+    # The rates of the start are a mixture of both branches, whose shares depend on the size: 100 steps leave the parallelogram.
     bar.moving((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     system = parallelogram(0.0, 6.0, bar, side=0.1)
     with pytest.warns(
         UserWarning, match="singular position near t = 0 s|do not allow the initial velocities"
     ) as caught:
-        motion = mbd.simulate(system, 0.2, steps=100).require_ok()
+        motion = mbd.simulate(system, 0.2, steps=400).require_ok()
     assert len([w for w in caught if "singular position near" in str(w.message)]) == 1
     assert float(distance(motion, 0.1, 0.3).max()) < 1e-5
 

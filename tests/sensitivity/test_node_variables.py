@@ -58,7 +58,7 @@ NAMES = {"length": ["length"], "nodes": ["nodes"], "module": ["length", "height"
 @pytest.mark.parametrize("case", LINES)
 def test_gradients(case):
     names = [f"rod.line.{name}" for name in NAMES[case]]
-    check(arm(LINES[case]()), [*names, "rod.section.thickness"], iterations=(14, 10))
+    check(arm(LINES[case]()), [*names, "rod.section.thickness"], iterations=(14, 10), duration=0.005)
 
 
 @pytest.mark.thorough

@@ -21,7 +21,7 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
 
 GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3
-_STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
+_STILL = 1e-12  # of the size of the mechanism times kg^1/2 of a body: modal coordinates that are rounding only
 _OF_PLACES = 100.0 * torch.finfo(torch.float64).eps  # of coordinates
 
 
@@ -91,6 +91,8 @@ class StepErrors:
     def __init__(self, dynamics: Dynamics, constant: float, h: float):
         self.T, self.factor = dynamics.topology, h * h * constant
         self.modes = self.T.modes * self.T.flexible
+        mass = value(dynamics.data["mass"])[: self.T.flexible, 0]
+        self.still = _STILL * dynamics.initial.size * mass.clamp_min(0.0).sqrt().amax(0) if self.modes else 0.0
         self.change = self.largest = torch.zeros(dynamics.lanes, dtype=torch.float64)
 
     def update(self, history: History, smooth: Tensor | None = None) -> None:
@@ -107,7 +109,7 @@ class StepErrors:
     def put_into(self, statistics: Statistics, steps: int) -> None:
         """Errors of so many steps, and how many would do."""
         error = self.factor * self.change
-        error = error / self.largest.clamp_min(_STILL) if self.modes else error
+        error = error / self.largest.clamp_min(self.still) if self.modes else error
         # Of resolved vibrations it falls with the third power of h, of others with the second: never too few steps.
         ratio = error / GOOD_STEP
         statistics.step_error = error

@@ -21,6 +21,7 @@ from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.statistics import ITERATION_ERROR, TURN, Statistics
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.sizes import row_sizes
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, has_failed
@@ -36,7 +37,9 @@ ALTERNATION = 0.3
 # Beyond these mechanics of Newton does not hold, and rounding of positions is of the size of a machine.
 LIGHT = 3e8  # [m/s]; of angular and modal rates as well
 FAR = 1e13  # [m]
-_OPEN = 1e-4  # [m] or [-]: violation of a joint at the end of a motion whose joints could not stay closed
+_OPEN = (
+    1e-4  # share of the size of a row: violation of a joint at the end of a motion whose joints could not stay closed
+)
 UNRESOLVED = "unresolved: "
 
 
@@ -119,11 +122,13 @@ def mark_open_joints(status: list[str], problem: InitialValueProblem, result: In
         return
     values = replace(dynamics, data=result.data or dynamics.data).values()
     violations = _violations_at_end(values, result.history, problem.duration)
+    sizes = row_sizes(dynamics.topology, dynamics.initial.size)[:, 0, 0]
     for lane in lanes:
         rows = problem.rows_at_end(result, lane)
-        phi = violations[rows, lane]
-        if rows and float(phi.max()) > _OPEN:
-            row, worst = dynamics.topology.row_names[rows[int(phi.argmax())]], float(phi.max())
+        shares = violations[rows, lane] / sizes[rows]
+        if rows and float(shares.max()) > _OPEN:
+            number = rows[int(shares.argmax())]
+            row, worst = dynamics.topology.row_names[number], float(violations[number, lane])
             status[lane] = (
                 f"failed: the joints could not stay closed ({row} is open by {worst:.1e} m or rad at the end)"
             )

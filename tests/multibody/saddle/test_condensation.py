@@ -124,7 +124,7 @@ def test_the_slider_crank_with_all_its_sensitivities(monkeypatch):
 @pytest.mark.thorough
 def test_the_jacobian_is_that_of_the_violations():
     system = build(3, cells=(4, 2), modes=2)
-    T, poses = system.topology, _Poses(system.topology)
+    T, poses = system.topology, _Poses(system.topology, 0.7)
     q = poses.moved(system.equations().initial.q, torch.linspace(-0.7, 0.9, T.n_v, dtype=torch.float64))
     expected = torch.func.jacfwd(lambda step: poses.phi(poses.moved(q, step)))(q.new_zeros(T.n_v))
     assert_close(poses.jacobian(q), expected, rtol=0, atol=1e-14)
@@ -140,7 +140,7 @@ def test_bodies_that_a_joint_does_not_hold_simply_stay():
             mbd.Prismatic(a.at(0.5, 0.0, 0.0), b.at(-0.5, 0.0, 0.0), axis="x"),
         ],
     )
-    assert condense(system.topology, system._initial.q) is None
+    assert condense(system.topology, system._initial.q, system._initial.size) is None
 
 
 @pytest.mark.thorough

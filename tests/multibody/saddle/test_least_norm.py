@@ -11,7 +11,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, tensor, turned
-from torchmbd.multibody.equations.equations import placement
+from torchmbd.multibody.equations.equations import placement, split_q
 from torchmbd.results.reaction import frame_axes
 
 AXES = turned(0.3, 0.5, -0.2)
@@ -48,6 +48,15 @@ def jacobian(motion: mbd.Trajectory, i: int) -> Tensor:
     return d.saddle.jacobian(d.data, placement(d.topology, d.data, q, d.topology.prescribed(motion.t[i], d.data)))[0]
 
 
+def of_rows(motion: mbd.Trajectory, q: Tensor) -> Tensor:
+    """Sizes of the rows [rows] at q [n_q]: twice the root mean square distance of points from their mean, or one."""
+    T, data, q = motion.dynamics.topology, motion.dynamics.values().data, q.detach()[:, None, None]
+    at = placement(T, data, q, T.prescribed(torch.zeros((), dtype=torch.float64), data))
+    points = torch.cat([split_q(T, q)[0], at.g[:, [i for i, x in enumerate(T.attached) if x.is_point]]], 1)[..., 0, 0]
+    size = 2.0 * float((points - points.mean(1, keepdim=True)).square().sum(0).mean().sqrt())
+    return tensor(*(1.0 if "perpendicular" in name or "angle" in name else size for name in T.row_names))
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("angle", [None, mbd.Sine(0.4, 5.0)])
 def test_they_do_not_depend_on_the_iteration(angle):
@@ -61,7 +70,7 @@ def test_they_do_not_depend_on_the_iteration(angle):
             U, s, _ = torch.linalg.svd(J)
             rank = int((s > 1e-6).sum())
             assert rank == len(J) - 10
-            assert float((U[:, rank:].T @ motion.lam[0, i]).abs().max()) < 1e-8
+            assert float((U[:, rank:].T @ (of_rows(motion, motion.q[0, i]) ** 2 * motion.lam[0, i])).abs().max()) < 1e-8
     for other in result[1:]:
         assert_close(other.lam, result[0].lam, rtol=0, atol=1e-5 * float(result[0].lam.abs().max()))
 
@@ -139,7 +148,9 @@ def test_both_sides_of_a_switch_share_what_they_carry():
         J = d.saddle.jacobian(d.data, placement(d.topology, d.data, q, d.topology.prescribed(switch.t[0], d.data)))[0]
         U, s, _ = torch.linalg.svd(acting[:, None] * J)
         loose = U[:, int((s > 1e-6).sum()) :] * acting[:, None]
-        assert float((loose.T @ side.lam[0]).abs().max()) < 1e-8 * float(side.lam.abs().max())
+        assert float((loose.T @ (of_rows(motion, side.q[0]) ** 2 * side.lam[0])).abs().max()) < 1e-8 * float(
+            side.lam.abs().max()
+        )
         assert side.dlam_db is not None
         expected = (sides.lam[0] - sides.lam[1]) / (2.0 * size)
         assert_close(side.dlam_db[0, :, 0], expected, rtol=0, atol=1e-5 * float(expected.abs().max()))

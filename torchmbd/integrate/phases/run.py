@@ -34,6 +34,7 @@ from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import Pair, linear, value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.data import Data
+from torchmbd.multibody.equations.sizes import row_sizes
 from torchmbd.multibody.equations.times_as_lanes import at_own_times, at_time
 from torchmbd.multibody.saddle import reactions
 from torchmbd.multibody.saddle.expansion import Expansion
@@ -44,7 +45,7 @@ from torchmbd.results.history import History, Record
 from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.state import State
 
-CLOSED = 1e-6  # [m] or [-]: violation of a joint that begins to act
+CLOSED = 1e-6  # share of the size of a row: violation of a joint that begins to act
 
 
 @dataclass
@@ -120,7 +121,9 @@ class MultiphaseRun:
         segment = self.segments[0]
         q, v = (self._wide(x, whole.lanes) for x in self._closed_coordinates(whole))
         data = data_with_marks(whole.topology, whole.data, q, segment.locks)
-        initial = InitialState(value(q)[..., :1].detach(), value(v)[..., :1].detach(), None, segment.condensation)
+        initial = InitialState(
+            value(q)[..., :1].detach(), value(v)[..., :1].detach(), self.whole.initial.size, None, segment.condensation
+        )
         dynamics = replace(dynamics, data=data, initial=initial)
         of_steps = dynamics.condensed() if self.integrator.condenses else dynamics
         before = State(q, v, v * 0.0, v * 0.0, v[:0])
@@ -283,7 +286,9 @@ class MultiphaseRun:
             self.first.state,
             None if any(part.locks for part in self.segments) else self.first.whole.shared_start,
         )
-        initial = InitialState(value(x.q)[..., :1], value(x.v)[..., :1], shared, segment.condensation)
+        initial = InitialState(
+            value(x.q)[..., :1], value(x.v)[..., :1], self.whole.initial.size, shared, segment.condensation
+        )
         dynamics = replace(self.whole, topology=segment.topology, saddle=segment.saddle, initial=initial)
         return dynamics, dynamics.condensed() if self.integrator.condenses else dynamics
 
@@ -352,9 +357,9 @@ class MultiphaseRun:
             return
         values, now = {name: value(x) for name, x in dynamics.data.items()}, value(t)
         at = equations.placement(T, values, value(q), at_own_times(T, now, values))
-        phi = equations.constraints(T, at).abs()[new, 0]
-        for i in lane_numbers((phi > CLOSED).any(0)):
-            k = int(phi[:, i].argmax())
+        phi, sizes = equations.constraints(T, at).abs()[new, 0], row_sizes(T, dynamics.initial.size)[new, 0, 0]
+        for i in lane_numbers((phi > CLOSED * sizes[:, None]).any(0)):
+            k = int((phi[:, i] / sizes).argmax())
             self.fail(
                 lanes[i],
                 f"{T.row_names[new[k]]} misses by {float(phi[k, i]):.3g} when phase {self.segments[number].name!r} begins "

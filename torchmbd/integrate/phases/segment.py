@@ -188,7 +188,9 @@ def _segment(
         locks=locks,
         closing=closing,
         initial=replace(model.initial, topology=closing[0]),
-        condensation=condense(topology, q, constant, [lock.name for lock in locks]) if topology.rows else None,
+        condensation=condense(topology, q, model.initial.size, constant, [lock.name for lock in locks])
+        if topology.rows
+        else None,
     )
 
 

@@ -44,11 +44,13 @@ _JUMP = 1e-4  # of the largest rate or acceleration: less is lost in what steps 
 class InitialState:
     """Initial coordinates of a simulation of phases, where the rank of the constraints of each phase is found.
 
+    size     of the mechanism as it was built [m]
     shared   the start that other designs have as well, with the ranks that were found there; None: it is that of this design
     """
 
     q: Tensor
     v: Tensor
+    size: float
     shared: SharedStart | None
     condensed: Condensation | None = None
 

@@ -44,7 +44,7 @@ from torch import Tensor
 
 from torchmbd.math.forward_mode import jvp
 from torchmbd.math.jet import Jet, cos, dot, sin
-from torchmbd.math.pair import cat
+from torchmbd.math.pair import cat, linear
 
 Law = Callable[[Tensor], Tensor]
 
@@ -98,9 +98,12 @@ class Primitive:
         """Arguments of the equation out of a prescribed x, a number or a jet."""
         raise NotImplementedError
 
-    def sizes(self, size: float) -> Tensor:
-        """Sizes [n] of the equations in a mechanism of a size [m], in their unit (multibody/equations/sizes.py)."""
-        return torch.full((len(self.members[0]),), size if self.is_length else 1.0, dtype=torch.float64)
+    def sizes(self, size: Any, data: Mapping[str, Any] | None = None) -> Any:
+        """Sizes [n, ...] of the equations in mechanisms of a size [...] [m], in their unit (multibody/equations/sizes.py)."""
+        n = len(self.members[0])
+        if not self.is_length:
+            return torch.ones(n, 1, 1, dtype=torch.float64)
+        return linear(lambda x: x.expand(n, *x.shape), size)
 
     @cached_property
     def numbers(self) -> Any:

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.math.elementwise import reciprocal
+from torchmbd.math.elementwise import reciprocal, sqrt
 from torchmbd.math.jet import Jet, angle_near, dot
 from torchmbd.math.pair import cat, linear, value
 from torchmbd.math.variable import ParameterVector, law_key
@@ -81,10 +81,11 @@ class Relation(Primitive):
         factors = torch.stack(self._factors(data)[: self.driven - 1])[self.angles if self.travels else 0 :]
         return factors[..., 0, 0].abs().amax(0)
 
-    def sizes(self, size: float) -> Tensor:
-        units = torch.tensor([1.0] * self.angles + [size] * self.travels, dtype=torch.float64)
-        factors = torch.tensor([x.numbers[:-1] for x in self.data], dtype=torch.float64)
-        return (factors.abs() * units).amax(1)
+    def sizes(self, size: Any, data: Mapping[str, Any] | None = None) -> Any:
+        factors = self._factors(data)[: self.driven - 1]
+        parts = factors[: self.angles] + [size * c for c in factors[self.angles :]]
+        squares = [c * c for c in parts]
+        return sqrt(sum(squares[1:], squares[0]))
 
     def _groups(self, vectors: list) -> list[list]:
         """The vectors of each coordinate."""

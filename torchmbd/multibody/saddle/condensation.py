@@ -28,12 +28,13 @@ from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.arrangement import assemble
 from torchmbd.multibody.equations.data import ATTACHED, INERTIA, Data
 from torchmbd.multibody.equations.prescribed_body import PrescribedBody
+from torchmbd.multibody.equations.sizes import rate_sizes_at, row_sizes
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.joints.primitive import Primitive, values_at
 from torchmbd.multibody.saddle.matrix import Saddle
 
-_ZERO = 1e-9  # violation of a row [m] or [-], or share of the largest singular value, that counts as zero
-_FAR = (0.4, -1.1, 2.3)  # [rad] or [m]: distances of the trial poses from the start
+_ZERO = 1e-9  # violation of a row by its size, or share of the largest singular value, that counts as zero
+_FAR = (0.4, -1.1, 2.3)  # [rad], or of the size of the mechanism: distances of the trial poses from the start
 _STEPS = 20  # of Newton's method
 
 
@@ -189,17 +190,18 @@ def _ground_joints(T: Topology, locks: Collection[str]) -> list[_GroundJoints]:
 
 
 class _Poses:
-    """Constraints of undeformed bodies at any pose."""
+    """Constraints of undeformed bodies at any pose, of a mechanism of a size [m]: rows and rates are divided by their sizes."""
 
-    def __init__(self, T: Topology):
-        self.T = T
+    def __init__(self, T: Topology, size: float):
+        self.T, self.size = T, size
+        self.rho, self.s = row_sizes(T, size)[:, 0, 0], rate_sizes_at(T, torch.full((1, 1), size).double())[:, 0, 0]
         x = [T.from_base_point(i, attached.vector) for i, attached in enumerate(T.attached)]
         x = torch.stack(x, 1)[..., None, None]
         self.data = {"x": x, "Y": x.new_zeros(3, T.modes, T.attached_flexible, 1, 1)}
 
     def phi(self, q: Tensor, angle: float = 0.0) -> Tensor:
         """Violations [rows] at q [n_q], with `angle` added to the values of all laws at t = 0."""
-        return equations.constraints(self.T, self._placement(q, angle))[:, 0, 0]
+        return equations.constraints(self.T, self._placement(q, angle))[:, 0, 0] / self.rho
 
     def _placement(self, q: Tensor, angle: float) -> equations.Placement:
         start = q.new_zeros(1)
@@ -215,13 +217,13 @@ class _Poses:
 
     def moved(self, q: Tensor, step: Tensor) -> Tensor:
         """q after an increment [n_v]."""
-        return equations.advance(self.T, q[:, None, None], step[:, None, None])[:, 0, 0]
+        return equations.advance(self.T, q[:, None, None], (self.s * step)[:, None, None])[:, 0, 0]
 
     def jacobian(self, q: Tensor) -> Tensor:
         """Phi_q [rows, n_v] at q [n_q]."""
         unit = torch.eye(self.T.rows, dtype=q.dtype)[:, :, None]
         forces = equations.constraint_forces(self.T, self.data, self._placement(q, 0.0), unit)  # of unit multipliers
-        return torch.cat([x.flatten(0, 1) for x in forces])[..., 0].T
+        return torch.cat([x.flatten(0, 1) for x in forces])[..., 0].T * self.s / self.rho[:, None]
 
     def columns(self, body: int) -> list[int]:
         """Columns of Phi_q of the rates of a body."""
@@ -243,10 +245,11 @@ class _Poses:
 
 @torch.no_grad()  # poses of condensed bodies do not depend on the design
 def condense(
-    T: Topology, q: Tensor, constant: Collection[int] | None = None, locks: Collection[str] = ()
+    T: Topology, q: Tensor, size: float, constant: Collection[int] | None = None, locks: Collection[str] = ()
 ) -> Condensation | None:
     """The condensation of a topology with approximate initial positions q [n_q]; None if no joint can be removed.
 
+    size      of the mechanism [m] (equations/sizes.py)
     constant  rows that have acted since the start, whose poses follow from q; None: all
     locks     names of the locks, which hold poses that follow from the motion
     """
@@ -262,7 +265,7 @@ def condense(
     turning = (
         set() if T.turns is None else {*T.turns.first.tolist(), *T.turns.second.tolist()}
     )  # turns are those of unknowns
-    poses = _Poses(T)
+    poses = _Poses(T, size)
     q = poses.closed(q, ground_joints) if ground_joints else q
     J = poses.jacobian(q) if ground_joints else q
     for joints in ground_joints:
@@ -277,7 +280,7 @@ def condense(
                 removed |= {*joints.rows, *joints.driven}
                 continue
         if free.shape[1] and _constant(poses, q, joints, free):
-            guided[joints.body] = free
+            guided[joints.body] = _rates_of_body(poses, joints.body, free)
             removed |= set(joints.rows)
     # A system whose whole motion is known keeps its bodies: an integrator needs unknowns.
     at_rest = sum(not free.shape[1] for free in guided.values())
@@ -311,17 +314,25 @@ def _constant(poses: _Poses, q: Tensor, joints: _GroundJoints, free: Tensor) -> 
     return True
 
 
+def _rates_of_body(poses: _Poses, body: int, free: Tensor) -> Tensor:
+    """The null space free [6, k] for rates that are not divided by their sizes; k of its rows are the identity as well."""
+    s, eye = poses.s[poses.columns(body)], torch.eye(free.shape[1], dtype=free.dtype)
+    pivots = [int(torch.nonzero((free == unit).all(1))[0]) for unit in eye]
+    return s[:, None] * free / s[pivots]
+
+
 def _prescribed_body(poses: _Poses, q: Tensor, joints: _GroundJoints, free: Tensor) -> PrescribedBody | None:
     """The body with its prescribed motion; None where its joints do not stay closed at all angles of its drive."""
     T, b = poses.T, joints.body
     A, r = rotation_matrix(q[T.p_slice(b)][:, None, None])[..., 0, 0], q[T.r_slice(b)]
     if not joints.driven:
         return PrescribedBody(T.names[b], A, r, torch.zeros_like(A), r)
-    turning = A @ free[3:, 0]
+    rates = poses.s[poses.columns(b)] * free[:, 0]
+    turning = A @ rates[3:]
     if float(turning.norm()) < _ZERO:
         return None
     axis = turning / turning.norm()
-    center = r + torch.linalg.cross(axis, free[:3, 0] / turning.norm())
+    center = r + torch.linalg.cross(axis, rates[:3] / turning.norm())
     for sign in (1.0, -1.0):
         spin = skew((sign * axis)[:, None, None])[..., 0, 0]
         prescribed_body = PrescribedBody(T.names[b], A, r, spin, center, joints.laws[0])

@@ -2,6 +2,7 @@
 
     Phi_q with rows of length one = U diag(s) V'          rank: singular values above 1e-9 of the largest
 
+Columns are those of rates that are divided by their sizes (equations/sizes.py), so that rows do not depend on units.
 A row is redundant if it depends on others: the motion does not need it, and its multiplier is not determined (the one of
 least norm is taken). A drive that depends on the rows without a law would move bodies that these hold: an error.
 Rows that are dependent where a flexible body is undeformed may contradict each other where it is deformed: an edge that twists
@@ -31,6 +32,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.pair import value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.data import Data
+from torchmbd.multibody.equations.sizes import closed_rows, rate_sizes, row_sizes
 from torchmbd.multibody.equations.times_as_lanes import as_lanes
 from torchmbd.multibody.equations.topology import Topology
 
@@ -40,7 +42,7 @@ _WEAK = 0.01  # share of the largest elastic part of a row of the same body
 _INVOLVED = 1e-6  # share of a row in a dependent one below which its multiplier is determined
 _SHARE = 0.3  # share of the largest entry of a left vector above which messages name a row
 _TURN = 0.2  # [rad] largest rotation to a displaced position
-_STEPS, _CLOSED = 30, 1e-11  # steps of Newton's method to it; largest violation [m] or [-]
+_STEPS = 30  # of Newton's method to it
 _ENTRIES = 2**20  # entries of Jacobians in one evaluation
 
 
@@ -146,6 +148,9 @@ def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
     N = scipy.linalg.null_space(J, rcond=RELATIVE)
     step = q.new_zeros(T.n_v)
     step[_rigid(T)] = torch.from_numpy(N @ (N.T @ np.random.default_rng(0).standard_normal(len(N)))).to(q.device)
+    size, mass = dynamics.initial.size, values["mass"][: T.bodies, 0, 0]
+    sizes, rho = rate_sizes(T, size, mass), row_sizes(T, size)[rows, 0, 0]
+    step *= sizes
     turn = equations.split_v(T, step[:, None, None])[1].abs().max()
     if not float(turn) > RELATIVE:
         return None
@@ -153,10 +158,11 @@ def displaced_position(dynamics: Any, q: Tensor) -> Tensor | None:
     for _ in range(_STEPS):
         at = equations.placement(T, values, displaced, excitation)
         phi = equations.constraints(T, at)[rows, 0, 0]
-        if float(phi.abs().max()) < _CLOSED:
+        if bool((phi.abs() <= closed_rows(T, size, displaced)[rows, 0, 0]).all()):
             return displaced[:, 0, 0]
-        J = dynamics.saddle.jacobian(values, at)[0][rows][:, _rigid(T)]
-        step = torch.zeros_like(step).index_put((torch.tensor(_rigid(T)),), -torch.linalg.pinv(J, rtol=1e-6) @ phi)
+        J = dynamics.saddle.jacobian(values, at)[0][rows][:, _rigid(T)] * sizes[_rigid(T)] / rho[:, None]
+        move = sizes[_rigid(T)] * (torch.linalg.pinv(J, rtol=1e-6) @ (phi / rho))
+        step = torch.zeros_like(step).index_put((torch.tensor(_rigid(T)),), -move)
         displaced = equations.advance(T, displaced, step[:, None, None])
     return None
 
@@ -211,7 +217,8 @@ def _dependent(J: np.ndarray) -> tuple[int, list[int]]:
 
 
 def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
-    """Phi_q with rows of length one [n, rows, n_v] of the first design at positions q [n, n_q] and times [n]."""
+    """Phi_q with rows of length one [n, rows, n_v], by rates that are divided by their sizes, of the first design at positions
+    q [n, n_q] and times [n]."""
     T, saddle = dynamics.topology, dynamics.saddle
     data = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
     schedule, parts = T.schedule(times, data), []
@@ -220,7 +227,7 @@ def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
         chunk = slice(start, start + count)
         at = equations.placement(T, data, q[chunk].T[:, None], as_lanes(schedule[chunk]).values())
         parts.append(saddle.jacobian(data, at))
-    J = torch.cat(parts)
+    J = torch.cat(parts) * rate_sizes(T, dynamics.initial.size, data["mass"][: T.bodies, 0, 0])
     return J / J.norm(dim=2, keepdim=True).clamp_min(torch.finfo(J.dtype).tiny)
 
 

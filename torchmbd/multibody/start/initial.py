@@ -43,7 +43,7 @@ from torchmbd.math.rotation import euler_parameters, rotation_matrix
 from torchmbd.multibody.bodies.frame import given_velocities
 from torchmbd.multibody.equations import base_points, equations
 from torchmbd.multibody.equations.beams import stored_energy
-from torchmbd.multibody.equations.sizes import extent, rate_sizes, row_sizes
+from torchmbd.multibody.equations.sizes import closed_rows, extent, rate_sizes_at, row_sizes, size_at
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.saddle.condensation import Condensation, condense
 from torchmbd.multibody.saddle.rank import Rank
@@ -51,8 +51,7 @@ from torchmbd.multibody.start.closing import Closing, warn_far
 from torchmbd.multibody.start.rate_levels import RateLevel, rate_levels
 from torchmbd.multibody.start.rigid_groups import RigidGroups
 
-_CLOSED = 1e-11  # share of the size of a row: largest violation of a closed joint
-_ROUNDING = 1e-14  # share of the distance from the origin of ground: the same, by rounding of positions
+_MOVED = 1e-11  # share of the size of the mechanism, or angle [rad]: smaller ways are rounding
 _STRAINING = 1e-8  # share of the size of a row: violation after rigid motions that strains beams without a warning
 _WITHOUT_EXTENT = 1e-9  # share of the radius of gyration: rounding of points that all lie at one place
 _STEPS = 50
@@ -170,7 +169,7 @@ class InitialConditions:
     @cached_property
     def condensed(self) -> Condensation | None:
         """The condensation of the joints to the ground; None if there is nothing to condense."""
-        return condense(self.topology, self.q) if self.topology.rows else None
+        return condense(self.topology, self.q, self.size) if self.topology.rows else None
 
     def shared_start(self, dynamics: Any) -> SharedStart | None:
         """The start of all designs of `dynamics`; None if it depends on the design. Raises InputError as `solve` does."""
@@ -205,7 +204,7 @@ class InitialConditions:
             return False
         joints = _Joints.of(undeformed, q, q.new_zeros(()), [self.rigid_mask], self.topology.base_points)
         x = joints.rates(v)
-        open_rates, *largest = (y.abs().max() for y in (joints.open_rates(x), v / joints.s, x / joints.rho))
+        open_rates, *largest = (y.abs().max() for y in (joints.open_rates(x), v / value(joints.s), x / joints.rho))
         return float(open_rates) > _OPEN * float(max(largest))
 
     def open(self, dynamics: Any) -> tuple[Tensor, Closing]:
@@ -264,22 +263,19 @@ class InitialConditions:
                 if step and T.beams is not None:
                     dynamics.outside_transforms(self._warn_strained, unstrained, value(q).detach())
                 break
-            s = -joints.correction(value(phi).detach())
-            residual = phi + joints.changes(s)
-            q = equations.advance(T, q, s + joints.jacobian_part(s) - joints.correction(residual))
+            q = equations.advance(T, q, joints.step(phi))
         else:
             outside_transforms(self._refuse, value(phi), self._closed(q).expand_as(value(phi)))
-        return equations.advance(T, q, -joints.correction(phi)), v
+        return equations.advance(T, q, linear(torch.neg, joints.correction(phi))), v
 
     def _closed(self, q: Any) -> Tensor:
         """Largest violations [rows, 1, 1] of closed joints at coordinates q [n_q, ...]."""
-        far = float(untransformed(value(q))[: 3 * self.topology.bodies].abs().max())
-        return self._row_sizes * (_CLOSED + _ROUNDING * far / self.size)
+        return closed_rows(self.topology, self.size, untransformed(value(q)))
 
     @property
     def _row_sizes(self) -> Tensor:
         """Of rows [rows, 1, 1]."""
-        return row_sizes(self.topology, self.size)[:, None, None]
+        return row_sizes(self.topology, self.size)
 
     def _given_positions(self, data: Any) -> Any:
         """Coordinates that the bodies were given [n_q, ...]."""
@@ -298,7 +294,7 @@ class InitialConditions:
         """Warn of joints that are open in the model as it was built. That other designs move bodies is what they are for."""
         places = slice(3 * self.topology.bodies)
         ways = float((q - start)[places].abs().max()) / self.size, float((q - start).abs()[places.stop :].max())
-        if not max(ways) > _CLOSED:
+        if not max(ways) > _MOVED:
             return
         same = (value(dynamics.data["x"])[:, :, 0].detach() == self.built).all(0).all(0)
         if bool(same.any()):
@@ -329,15 +325,17 @@ class InitialConditions:
         t = torch.zeros((), dtype=torch.float64, device=value(q).device)
         levels = [self.rigid_mask & ~self.rate_mask, self.rate_mask, ~self.rigid_mask]
         joints = _Joints.of(dynamics, q, t, levels, T.base_points)
-        s = -joints.correction(value(joints.rates(v)).detach())
-        outside_transforms(self._warn_changed, value(v), s)
-        return joints.of_base_points(v + s + joints.jacobian_part(s) - joints.correction(joints.rates(v + s)))
+        s = joints.step(joints.rates(v))
+        outside_transforms(self._warn_changed, value(v), value(s).detach())
+        return joints.of_base_points(v + s)
 
     def _warn_changed(self, v: Tensor, s: Tensor) -> None:
         """Warn of given velocities v that corrections s change [n_v, 1, lanes]."""
         v, s = v[:, 0], s[:, 0]
-        n, changed, sizes = self.topology.bodies, [], rate_sizes(self.topology, self.size)
-        shares = s / sizes[:, None], v / sizes[:, None]
+        n, changed = self.topology.bodies, []
+        sizes = torch.ones_like(s[:, :1])
+        sizes[: 3 * n] = self.size
+        shares = s / sizes, v / sizes
         for k, (kind, unit) in enumerate((("velocity", "m/s"), ("angular velocity", "rad/s"))):
             for i, name in enumerate(self.topology.names):
                 rows = [3 * n * k + n * j + i for j in range(3)]
@@ -371,7 +369,7 @@ class InitialConditions:
 class _Joints:
     """The joints of all lanes at coordinates q and time t; level: the last of the rates that satisfy them.
 
-    rho, s  sizes of rows [rows, 1, 1] and rates [n_v, 1, 1], by which those of the level are divided
+    rho, s  sizes of rows [rows, 1, lanes] and rates [n_v, ...], by which those of the level are divided; s has derivatives
     arms   base points of the bodies where rates v, s are those of origins; None: they are those of base points
     """
 
@@ -380,7 +378,7 @@ class _Joints:
     t: Tensor
     level: RateLevel
     rho: Tensor
-    s: Tensor
+    s: Any
     arms: Tensor | None
 
     @classmethod
@@ -392,10 +390,11 @@ class _Joints:
         J = dynamics.saddle.jacobian(values, plain)
         J = base_points.forces_on_origins(arms, plain.A[:, :, : T.bodies], J.permute(2, 1, 0)).permute(2, 1, 0)
         at = equations.placement(T, data, q, T.prescribed(t, data))
-        size = dynamics.initial.size
-        rho, s = row_sizes(T, size).to(J.device), rate_sizes(T, size).to(J.device)
-        levels = rate_levels(T, J * s / rho[:, None], [mask.to(J.device) for mask in masks if bool(mask.any())])
-        return cls(dynamics, at, t, levels, rho[:, None, None], s[:, None, None], arms)
+        size = size_at(T, q, at)
+        rho, s = row_sizes(T, value(size).detach(), values), rate_sizes_at(T, size)
+        J = J * value(s).detach().permute(2, 1, 0) / rho.permute(2, 0, 1)
+        levels = rate_levels(T, J, [mask.to(J.device) for mask in masks if bool(mask.any())])
+        return cls(dynamics, at, t, levels, rho, s, arms)
 
     def violation(self) -> Any:
         """Phi [rows, ...]."""
@@ -422,15 +421,21 @@ class _Joints:
 
     def correction(self, x: Any) -> Any:
         """K x [n_v, ...] of x [rows, ...]."""
-        return linear(lambda y: self.s * apply(self.level.K, y / self.rho), x)
+        return self.s * linear(lambda y: apply(self.level.K, y / self.rho), x)
+
+    def step(self, x: Any) -> Any:
+        """Rates s [n_v, ...] of least size with J s = -x, x [rows, ...]; derivatives also of J and of the sizes of rates."""
+        least = -apply(self.level.K, value(x).detach() / self.rho)
+        s = self.s * least
+        return s + self.s * self.jacobian_part(least) - self.correction(x + self.changes(s))
 
     def open_rates(self, x: Tensor) -> Tensor:
         """The part of constraint rates x [rows, ...] that no rates of the levels make, divided by sizes of rows."""
         return x / self.rho - apply(self.level.made, x / self.rho)
 
     def jacobian_part(self, s: Tensor) -> Any:
-        """D [n_v, ...]: derivatives of J in a correction s at fixed Phi + J s, of value zero."""
-        D = self.s * self.level.changes(s / self.s, lambda y: self.s * self._constraint_forces(y / self.rho))
+        """D [n_v, ...]: derivatives of J in rates s, divided by their sizes, at fixed Phi + J s, of value zero."""
+        D = self.level.changes(s, lambda y: self.s * self._constraint_forces(y / self.rho))
         return D - value(D).detach()  # rounding, of small bodies with large modes
 
     def _constraint_forces(self, y: Tensor) -> Any:

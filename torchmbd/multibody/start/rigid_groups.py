@@ -23,7 +23,7 @@ from torchmbd.math.gradients import untransformed
 from torchmbd.math.pair import apply, cat, cross, linear, matvec, matvec_t, value
 from torchmbd.math.rotation import exponential, quaternion_product, rotation_matrix
 from torchmbd.multibody.equations import equations
-from torchmbd.multibody.equations.sizes import row_sizes
+from torchmbd.multibody.equations.sizes import row_sizes, size_at
 from torchmbd.multibody.equations.topology import Topology
 
 _STEPS = 50
@@ -75,21 +75,19 @@ class RigidGroups:
         J = dynamics.saddle.jacobian(values, plain)[:, :, : 6 * T.bodies]
         unit = torch.eye(6 * len(self.free), dtype=torch.float64)[..., None] * self.free.repeat(6)[:, None, None]
         R = self._rates(value(q).detach(), unit.expand(-1, -1, J.shape[0]))[: 6 * T.bodies].permute(2, 0, 1)
-        size, n = dynamics.initial.size, 3 * len(self.free)
-        rho, s = (
-            row_sizes(T, size)[:, None, None],
-            torch.tensor([size] * n + [1.0] * n, dtype=torch.float64)[:, None, None],
-        )
-        J = (J @ R) * s[:, 0, 0] / rho[:, 0]  # [lanes, rows, 6 groups]
+        n, size = 3 * len(self.free), size_at(T, q, at)
+        moves = torch.tensor([1.0] * n + [0.0] * n, dtype=torch.float64)[:, None, None]
+        s, rho = linear(lambda x: moves * x, size) + (1.0 - moves), row_sizes(T, value(size).detach(), values)
+        J = (J @ R) * value(s).detach().permute(2, 1, 0) / rho.permute(2, 0, 1)  # [lanes, rows, 6 groups]
         U, sigma, Vh = torch.linalg.svd(J, full_matrices=False)
         inverse = Vh.mT @ (torch.where(sigma > _RANK * sigma[:, :1], 1.0 / sigma, 0.0)[..., None] * U.mT)
         phi = equations.constraints(T, at)
         y = -apply(inverse, value(phi).detach() / rho)  # divided by s
         residual = phi + equations.constraint_changes(T, at, data, self._rates(q, s * y))
-        forces = self._forces(q, equations.constraint_forces(T, data, at, apply(inverse.mT, y) / rho))
-        turned = linear(lambda u: s * u - apply(inverse, apply(J, s * u)), forces)
-        y = y + turned - linear(lambda x: apply(inverse, x / rho), residual)
-        return self._moved(q, linear(lambda u: s * u, y)), float((untransformed(value(phi)).abs() / small).max())
+        forces = s * self._forces(q, equations.constraint_forces(T, data, at, apply(inverse.mT, y) / rho))
+        turned = linear(lambda u: u - apply(inverse, apply(J, u)), forces)
+        y = y + (turned - value(turned).detach()) - linear(lambda x: apply(inverse, x / rho), residual)
+        return self._moved(q, s * y), float((untransformed(value(phi)).abs() / small).max())
 
     def _arms(self, q: Any) -> tuple[Any, Any, Any]:
         """Centers of the groups of all bodies, origins from these [3, bodies, ...] and Euler parameters."""

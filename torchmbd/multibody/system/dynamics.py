@@ -34,6 +34,7 @@ from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, cat, linear, value, variation
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.data import Data
+from torchmbd.multibody.equations.sizes import row_sizes
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.saddle.factors import Diagonal, regularized
@@ -49,9 +50,9 @@ from torchmbd.multibody.saddle.rank import (
 )
 
 LEFT_OUT = 1e30  # on the diagonal of a row without other entries: its multiplier is zero
-REGULARIZATION = (
-    1e-8  # [of 1 / largest mass] against C M^-1 C' of this order or more: only undetermined multipliers notice
-)
+# Of 1 / largest mass, or 1 / largest moment of inertia where a row is an angle. C M^-1 C' is of this order or more, so only
+# undetermined multipliers notice.
+REGULARIZATION = 1e-8
 
 
 @dataclass(eq=False)
@@ -188,7 +189,10 @@ class Dynamics:
         row_mask = torch.ones(n + self.topology.rows, dtype=torch.float64)
         diagonal_shift = torch.zeros_like(row_mask)
         if everywhere or len(left_out) < len(self.redundant):
-            diagonal_shift[n:] = REGULARIZATION / float(untransformed(value(self.data["mass"])).max())
+            mass, P = (untransformed(value(self.data[name])) for name in ("mass", "P0"))
+            largest = float(mass.max())
+            arm = math.sqrt(float(P.diagonal(dim1=0, dim2=1).sum(-1).max()) / largest) or 1.0
+            diagonal_shift[n:] = REGULARIZATION / largest * (row_sizes(self.topology, arm)[:, 0, 0] / arm).square()
         for i in left_out:
             row_mask[n + i], diagonal_shift[n + i] = 0.0, LEFT_OUT
         return row_mask, diagonal_shift
@@ -383,6 +387,11 @@ class CondensedStart:
     whole: Dynamics
     condensation: Condensation
     condensed: None = None  # a condensed system is not condensed again
+
+    @property
+    def size(self) -> float:
+        """Size of the mechanism as it was built [m]."""
+        return self.whole.initial.size
 
     def shared_start(self, dynamics: Dynamics) -> Any:
         """That of the whole system."""
