@@ -31,7 +31,7 @@ def tip_deviation(motion, factor=1.0):
         (mbd.Mass("a") * mbd.Mass("b"), "mass of a · mass of b [kg²]"),
         (1e3 * mbd.Mass(), "1000 · mass of all bodies"),
         (mbd.WeightedSum([(1.0, mbd.Mass("a"))]), "weighted sum"),
-        (mbd.RMS(mbd.Reaction("hinge", "z", kind="torque")), "rms of z reaction of hinge [N m]"),
+        (mbd.RMS(mbd.Reaction("hinge", "z", kind="torque")), "rms of z reaction torque of hinge [N m]"),
     ],
 )
 def test_titles(response, said):

@@ -203,9 +203,12 @@ def _check_options(function: Callable[..., Any], options: Mapping[str, Any], bef
     for key in options:
         if key not in names and not takes_any:
             raise SpecError((*path, key), f"is an unknown key: {must_be_one(key, names)}")
-    for p in parameters:
-        if p.name in names and p.default is p.empty and p.name not in options:
-            raise SpecError(path, f"lacks {p.name!r}: must have {', '.join(names)}")
+    needed = [p.name for p in parameters if p.name in names and p.default is p.empty]
+    for name in needed:
+        if name not in options:
+            may = [x for x in names if x not in needed]
+            more = f", and may have {', '.join(may)}" if may else ""
+            raise SpecError(path, f"lacks {name!r}: must have {', '.join(needed)}{more}")
 
 
 def _not_imported(motion: Any) -> Any:

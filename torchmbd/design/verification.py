@@ -67,8 +67,17 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
     if isinstance(result, MultistartResult):
         best, feasibility, others = result.best, result.feasibility, other_ends(result)
     if best is None or not best.violation <= feasibility:  # type: ignore[union-attr]
+        violation = getattr(best, "violation", None)  # None: there is no design
+        text = (
+            ""
+            if violation is None
+            else f": constraints are violated by {violation:.3g}, and {feasibility:g} is accepted"
+        )
         raise InputError(
-            "result", result, "a result with such a design", state=f"has no design with a violation <= {feasibility:g}"
+            "result",
+            result,
+            hint="more iterations, other starts or another limit",
+            state=f"has no feasible design that could be verified{text}",
         )
     problem = best.problem  # type: ignore[union-attr]
     if isinstance(problem, Processes):

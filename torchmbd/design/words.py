@@ -70,6 +70,8 @@ def words(response: Response, bodies: bool = True) -> str:
         return response.words(name)  # pyright: ignore[reportAttributeAccessIssue]
     if isinstance(response, Frequency) and response.number > 1:
         name = f"{name} {response.number}"
+    if isinstance(response, Reaction) and response.kind == "torque":
+        name = "reaction torque"
     axis = getattr(response, "axis", None)
     if isinstance(axis, str):
         name = f"{name} about {axis}" if name == "angle" else f"{axis} {name}"

@@ -98,9 +98,14 @@ def units_of(si: str) -> list[str]:
 def misfit(parameter: str, unit: str) -> str | None:
     """The reason why a parameter cannot have a unit, None if it can; `none` is the SI unit."""
     units = QUANTITIES.get(parameter.rpartition(".")[2])
-    if units is None or unit == NONE or UNITS[unit][1] in units:
-        return None
-    return f"must be one of {', '.join(name for si in units for name in units_of(si))}, none (SI)"
+    return None if units is None or unit == NONE or UNITS[unit][1] in units else fitting(parameter)
+
+
+def fitting(parameter: str) -> str:
+    """What is allowed as the unit of a parameter: "must be one of deg, rad, none (SI)"; any, if its name does not tell it."""
+    units = QUANTITIES.get(parameter.rpartition(".")[2])
+    names = [name for si in units for name in units_of(si)] if units else [name for name in UNITS if name != NONE]
+    return f"must be one of {', '.join(names)}, none (SI)"
 
 
 def quantity(parameter: str) -> str | None:

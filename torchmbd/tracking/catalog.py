@@ -65,8 +65,13 @@ def find(uri: StoreURI | str, run: str) -> Entry:
     for entry in entries:
         if entry.run_id.startswith(run) or entry.name == run:
             return entry
-    names = dict.fromkeys(entry.name for entry in entries)
-    raise InputError("run", run, list(names), noun=f"run in {store_uri(uri)}", hint="a run id of torchmbd list")
+    place, names = store_uri(uri), list(dict.fromkeys(entry.name for entry in entries))
+    if not names:
+        hint = "another store, or `torchmbd run`, which makes a study"
+        raise InputError(
+            "run", run, hint=hint, state=f"{run!r} does not exist, because there are no studies in {place}"
+        )
+    raise InputError("run", run, names, noun=f"run in {place}", hint="a run id of torchmbd list")
 
 
 def fetch(uri: StoreURI, entry: Entry, name: str, folder: Path) -> Path | None:

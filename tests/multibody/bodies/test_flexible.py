@@ -86,9 +86,9 @@ def test_bodies_that_share_a_laminate_share_its_angles():
         ({"damping": math.nan}, ("rod.damping", math.nan)),
         ({"position": (0, 0, math.nan)}, ("rod.position", ANY, "nan")),
         ({"axes": [[1, 0, 0], [0, 2, 0], [0, 0, 1]]}, ("rod.axes", ANY, "orthonormal")),
-        ({"reference": "lft"}, ("node", "lft", "left", "Try: 'left'")),
-        ({"reference": 15}, ("node", 15, "0 to 14")),
-        ({"reference": [1.5]}, ("node", 1.5, "0 to 14")),
+        ({"reference": "lft"}, ("reference.node", "lft", "left", "Try: 'left'")),
+        ({"reference": 15}, ("reference.node", 15, "0 to 14")),
+        ({"reference": [1.5]}, ("reference.node", 1.5, "0 to 14")),
         ({"reference": []}, ("reference", [])),
         ({"rigid": 3}, ("rigid", 3)),
         ({"rigid": "left_edge"}, ("rigid", "left_edge")),
@@ -105,6 +105,8 @@ def test_a_node_that_does_not_exist_is_named():
     body = plate("rod")
     with refused("node", "rigth", meant="right"):
         body.at("rigth")
+    with refused("reference.node", "rigth", meant="right"):
+        plate("rod", reference="rigth")
     for index in (-1, 15):
         with refused("node"):
             body.at(index)

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, within
 from torchmbd.fem.elements import BeamLine, Follower, Part, RigidLink
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.checked_numbers import scalar
@@ -138,7 +138,10 @@ def reference_nodes(
         distance = ((mesh.nodes - center) ** 2).sum(1)
         distance[[link.node for link in links]] = torch.inf  # a node that follows cannot be held
         return [int(distance.argmin())]
-    nodes = node_indices(mesh, reference)
+    try:
+        nodes = node_indices(mesh, reference)
+    except InputError as error:
+        raise within("reference", error) from None
     if not nodes:
         raise InputError("reference", reference, "a node, a node set or a list of at least one node")
     return nodes

@@ -14,7 +14,7 @@ from pydantic import ValidationError, create_model
 from pydantic_core import ErrorDetails
 
 from torchmbd.errors import Path, must, nearest
-from torchmbd.math.units import NONE, in_si, number_with_unit
+from torchmbd.math.units import NONE, fitting, in_si, number_with_unit
 from torchmbd.study.file.faults import Fault, shown
 from torchmbd.study.file.schema import LIMIT_KINDS, UNITS, Section
 from torchmbd.tracking.uri import StoreURI
@@ -140,7 +140,8 @@ def _refusal(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> 
     kind, value, context = details["type"], _shown_input(details, path), details.get("ctx", {})
     is_value = f"= {shown(value)}"
     if kind == "missing":
-        return _Refusal("is missing", _ALLOWED.get(str(path[-1]), "given"))
+        is_unit = path[0] == "design" and path[-1] == "unit"
+        return _Refusal("is missing", fitting(str(path[1])) if is_unit else _ALLOWED.get(str(path[-1]), "given"))
     if kind == "extra_forbidden":
         keys = _keys(path[:-1], kind_of_file)
         return _Refusal(f"{is_value} is an unknown key", must(keys), nearest(path[-1], keys))
