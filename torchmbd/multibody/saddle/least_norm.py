@@ -75,7 +75,7 @@ class LeastNorm:
         s, rho = rate_sizes_at(self.T, size), row_sizes(self.T, size, data)
         with torch.no_grad():
             inverse, P = self._inverses(data, at, value(s), value(rho))
-            values = value(rho) * value(lam).detach()
+            values = value(rho).detach() * value(lam).detach()  # no_grad alone keeps tangents of forward mode
             least = apply(P, values)
             mu, nu = apply(inverse, values), acting * (values - least)
         if not isinstance(lam, Pair) and not torch.is_grad_enabled():
