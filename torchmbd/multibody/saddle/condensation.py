@@ -194,7 +194,10 @@ class _Poses:
 
     def __init__(self, T: Topology, size: float):
         self.T, self.size = T, size
-        self.rho, self.s = row_sizes(T, size)[:, 0, 0], rate_sizes_at(T, torch.full((1, 1), size).double())[:, 0, 0]
+        self.rho, self.s = (
+            row_sizes(T, size)[:, 0, 0],
+            rate_sizes_at(T, torch.full((1, 1), size, dtype=torch.float64))[:, 0, 0],
+        )
         x = [T.from_base_point(i, attached.vector) for i, attached in enumerate(T.attached)]
         x = torch.stack(x, 1)[..., None, None]
         self.data = {"x": x, "Y": x.new_zeros(3, T.modes, T.attached_flexible, 1, 1)}
