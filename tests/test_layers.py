@@ -57,7 +57,7 @@ HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}
 # Narrower than their layer: modes are those of any K and M, optimizers know arrays only.
 ONLY = {
     "fem.reduction": {"errors", "math"},
-    "optimization": {"errors", "process", "progress", "summary", "viz.figures"},
+    "optimization": {"errors", "process", "progress", "summary", "fixed_arguments", "viz.figures"},
 }
 EMPTY = {"torchmbd.fem", "torchmbd.multibody", "torchmbd.extensions"}  # packages of packages: they import nothing
 FILES = sorted(file for file in PACKAGE.rglob("*.py") if file != PACKAGE / "__init__.py")

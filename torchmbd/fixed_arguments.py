@@ -1,7 +1,7 @@
 """Objects whose arguments cannot be set after construction, because the constructor has made what follows from them.
 
     body.modes = 10
-    InputError: body.modes = 10: must be an argument of FlexibleBody(...): ... Try: FlexibleBody(..., modes=...)
+    InputError: body.modes = 10: must be an argument of FlexibleBody(...), because ... Try: FlexibleBody(..., modes=...)
 
 Tensors and modules that an object reads at each use, such as the mass of a rigid body, can be set; torch registers parameters.
 Checked in tests/test_fixed_arguments.py.
@@ -40,7 +40,7 @@ class FixedArguments:
             raise InputError(
                 name if own is None else (own, name),
                 value,
-                f"must be an argument of {kind}(...): an object keeps those that it was made with",
+                f"an argument of {kind}(...), because an object keeps those that it was made with",
                 hint=self.other_way(name),
             )
         super().__setattr__(name, value)

@@ -273,9 +273,9 @@ def test_a_body_or_joint_that_does_not_exist_is_named(response, renamed):
 def renamed() -> mbd.System:
     system = pendulum()
     for body in system.bodies:
-        body.name += "s"
+        vars(body)["name"] += "s"
     for joint in system.joints:
-        joint.name += "s"
+        vars(joint)["name"] += "s"
     return system
 
 

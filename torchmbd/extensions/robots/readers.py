@@ -35,7 +35,7 @@ def read_urdf(
     >>> with open("pendulum.urdf", "w") as file:
     ...     _ = file.write(text)
     >>> mbd.io.read_urdf("pendulum.urdf", positions={"hinge": 0.3}).joints
-    [Revolute(ground.at(0, 0, 0), rod.at(0, 0, 0))]
+    (Revolute(ground.at(0, 0, 0), rod.at(0, 0, 0)),)
     """
     return System(**robot(urdf_robot(path), flexible or {}, fixed_base, **options))
 
