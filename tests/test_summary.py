@@ -24,6 +24,7 @@ def test_no_description_is_longer_than_a_screen(motion):
     assert "0 to 0.02 s, 101 times" in repr(motion)
 
 
+@pytest.mark.extensions
 def test_results_with_large_tensors_show_their_numbers_and_shapes():
     body = mbd.examples.arm().body("arm")
     modes = mbd.natural_frequencies(body, number=2)

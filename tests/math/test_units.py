@@ -1,4 +1,4 @@
-"""Units by name: their multiples, what parameters are measured in, and lengths of a mesh file."""
+"""Units by name: their multiples, and what parameters are measured in."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pytest
 
 import torchmbd as mbd
 from tests.refused import refused
-from torchmbd.extensions.meshes.mesh_file import meters
 from torchmbd.math.units import UNITS, factor, in_si, misfit
 
 
@@ -66,10 +65,3 @@ def test_units_of_changes_of_temperature():
     assert "K, degC, degF" in (misfit("cooling.temperature", "K/m") or "")
     assert "1/K, ppm/K" in (misfit("rod.section.alpha", "deg") or "")
     assert misfit("cooling.gradient", "K/mm") is None
-
-
-def test_lengths_of_files():
-    assert (meters("scale", "in"), meters("scale", 1e-3), meters("scale", "ft")) == (0.0254, 1e-3, 0.3048)
-    for given in ("deg", "inch", 0.0, -1.0, None, math.inf, True):
-        with refused("scale"):
-            meters("scale", given)

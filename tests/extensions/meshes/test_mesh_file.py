@@ -1,5 +1,7 @@
 """Meshes through meshio: zones, node sets, unused points, scale, in three formats; and what is refused."""
 
+import math
+
 import meshio
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import torch
 
 from tests.refused import ANY, refused
 from torchmbd.errors import InputError
-from torchmbd.extensions.meshes.mesh_file import mesh_file, mesh_of
+from torchmbd.extensions.meshes.mesh_file import mesh_file, mesh_of, meters
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [0, 1, 0], [9, 9, 9]], dtype=float)
 QUADS, TRIANGLES = np.array([[0, 1, 4, 5]]), np.array([[1, 2, 3], [1, 3, 4]])
@@ -276,3 +278,10 @@ def test_what_cannot_be_read_is_refused(tmp_path):
 def test_a_flat_mesh_of_two_coordinates():
     mesh, _ = mesh_of(meshio.Mesh(POINTS[:6, :2], [("triangle", TRIANGLES)]))
     assert torch.equal(mesh.nodes[:, 2], torch.zeros(len(mesh.nodes), dtype=torch.float64))
+
+
+def test_lengths_of_files():
+    assert (meters("scale", "in"), meters("scale", 1e-3), meters("scale", "ft")) == (0.0254, 1e-3, 0.3048)
+    for given in ("deg", "inch", 0.0, -1.0, None, math.inf, True):
+        with refused("scale"):
+            meters("scale", given)
