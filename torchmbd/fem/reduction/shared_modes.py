@@ -44,6 +44,8 @@ def distinct(K: Tensor, M: Tensor) -> tuple[Tensor, Tensor]:
     their last digits. Lanes of other numbers with the same sum, of which there are hardly any, count as lanes of their own.
     """
     lanes = torch.arange(len(K))
+    if len(K) == 1:
+        return lanes, lanes
     sums, order = K.flatten(1).sum(1).sort(stable=True)
     far = (sums.diff() > _ROUNDING * K.abs().sum() / len(K)).long()
     if bool(far.all()):
