@@ -1,4 +1,4 @@
-"""What is set after construction is used, or refused by name: for every argument of what a user constructs."""
+"""An argument that is set after construction is used or refused by its name, for every kind of object that a user makes."""
 
 from __future__ import annotations
 

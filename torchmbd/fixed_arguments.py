@@ -46,7 +46,7 @@ class FixedArguments:
         super().__setattr__(name, value)
 
     def other_way(self, argument: str) -> str:
-        """What to do in place of setting an argument."""
+        """The remedy in the error: how an object with another argument is made."""
         return f"{type(self).__name__}(..., {argument}=...)"
 
     def _is_fixed(self, name: str, value: Any) -> bool:

@@ -151,7 +151,7 @@ def test_a_start_in_a_singular_position():
     motion = mbd.simulate(system, 0.2, steps=100).require_ok()
     assert motion.singular_positions()[0].t == 0.0
     assert float(distance(motion, 0.1, 0.3).max()) < 1e-5
-    # TensorSignals at rest, the coupler contradicts the cranks: a start beside the motion is tried again with a new matrix.
+    # At rest, the coupler contradicts the cranks: a start beside the motion is tried again with a new matrix.
     # The rates of the start are a mixture of both branches, whose shares depend on the size: 100 steps leave the parallelogram.
     bar.moving((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     system = parallelogram(0.0, 6.0, bar, side=0.1)

@@ -37,9 +37,8 @@ ALTERNATION = 0.3
 # Beyond these mechanics of Newton does not hold, and rounding of positions is of the size of a machine.
 LIGHT = 3e8  # [m/s]; of angular and modal rates as well
 FAR = 1e13  # [m]
-_OPEN = (
-    1e-4  # share of the size of a row: violation of a joint at the end of a motion whose joints could not stay closed
-)
+# Violation of a joint, as a share of the size of its row, at the end of a motion whose joints could not stay closed.
+_OPEN = 1e-4
 UNRESOLVED = "unresolved: "
 
 

@@ -102,7 +102,10 @@ def misfit(parameter: str, unit: str) -> str | None:
 
 
 def fitting(parameter: str) -> str:
-    """What is allowed as the unit of a parameter: "must be one of deg, rad, none (SI)"; any, if its name does not tell it."""
+    """The units that a parameter may have, as words for an error: "must be one of deg, rad, none (SI)".
+
+    A parameter whose name does not tell its quantity may have any unit.
+    """
     units = QUANTITIES.get(parameter.rpartition(".")[2])
     names = [name for si in units for name in units_of(si)] if units else [name for name in UNITS if name != NONE]
     return f"must be one of {', '.join(names)}, none (SI)"
@@ -122,10 +125,10 @@ def shown(parameter: str, x: float) -> str:
 
 def number_with_unit(text: object) -> tuple[float, str] | None:
     """The number and the unit of a text such as "1 mm"; the unit of "12" is "none". None for anything else."""
-    found = _NUMBER.fullmatch(text.strip()) if isinstance(text, str) else None
-    if found is None or (found[2] or NONE) not in UNITS:
+    match = _NUMBER.fullmatch(text.strip()) if isinstance(text, str) else None
+    if match is None or (match[2] or NONE) not in UNITS:
         return None
-    return float(found[1]), found[2] or NONE
+    return float(match[1]), match[2] or NONE
 
 
 def in_si(text: object) -> str:

@@ -281,8 +281,8 @@ class OptimizationResult(Summary):
     def search_text(self) -> str:
         """How the search ended, whether its design is better than the start, and how many evaluations failed."""
         ending = "converged" if self.converged else f"not converged ({self.status}: {self.message})"
-        told = self.status == "many_failures"  # in the message
-        failures = [] if told else [failures_text(self.analyses, self.reasons)]
+        in_message = self.status == "many_failures"
+        failures = [] if in_message else [failures_text(self.analyses, self.reasons)]
         return "; ".join([ending, self.gain_text, *failures])
 
     @property

@@ -143,7 +143,7 @@ class Simulation(FixedArguments, Summary):
         return cls(system, duration, **arguments)
 
     def other_way(self, argument: str) -> str:
-        """What to do in place of setting an argument."""
+        """The remedy in the error: how a simulation with another argument is made."""
         return f"simulation.with_arguments({argument}=...), which makes another"
 
     @property

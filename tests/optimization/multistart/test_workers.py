@@ -75,7 +75,10 @@ def test_the_process_is_left_as_it_was(monkeypatch):
         assert here()[:2] == before[:2]
         with pytest.raises(Overflow):
             problem.evaluate(np.full((2, 2), 3.5), True)
-    assert here() == before
+        monkeypatch.setenv("TORCHMBD_TEST", "of the caller")  # inside of the block, and his own
+    environment, *others = here()
+    assert environment.pop("TORCHMBD_TEST") == "of the caller"
+    assert (environment, *others) == before
 
 
 def test_a_batch_is_shared_out_in_order(shared):

@@ -194,16 +194,14 @@ class _Poses:
 
     def __init__(self, T: Topology, size: float):
         self.T, self.size = T, size
-        self.rho, self.s = (
-            row_sizes(T, size)[:, 0, 0],
-            rate_sizes_at(T, torch.full((1, 1), size, dtype=torch.float64))[:, 0, 0],
-        )
+        self.rho = row_sizes(T, size)[:, 0, 0]
+        self.s = rate_sizes_at(T, torch.full((1, 1), size, dtype=torch.float64))[:, 0, 0]
         x = [T.from_base_point(i, attached.vector) for i, attached in enumerate(T.attached)]
         x = torch.stack(x, 1)[..., None, None]
         self.data = {"x": x, "Y": x.new_zeros(3, T.modes, T.attached_flexible, 1, 1)}
 
     def phi(self, q: Tensor, angle: float = 0.0) -> Tensor:
-        """Violations [rows] at q [n_q], with `angle` added to the values of all laws at t = 0."""
+        """Violations [rows] by their sizes at q [n_q], with `angle` added to the values of all laws at t = 0."""
         return equations.constraints(self.T, self._placement(q, angle))[:, 0, 0] / self.rho
 
     def _placement(self, q: Tensor, angle: float) -> equations.Placement:
@@ -219,11 +217,11 @@ class _Poses:
         return equations.placement(self.T, self.data, q[:, None, None], excitation)
 
     def moved(self, q: Tensor, step: Tensor) -> Tensor:
-        """q after an increment [n_v]."""
+        """q after an increment [n_v], which is divided by sizes."""
         return equations.advance(self.T, q[:, None, None], (self.s * step)[:, None, None])[:, 0, 0]
 
     def jacobian(self, q: Tensor) -> Tensor:
-        """Phi_q [rows, n_v] at q [n_q]."""
+        """Phi_q s / rho [rows, n_v] at q [n_q], the derivative of `phi` by increments."""
         unit = torch.eye(self.T.rows, dtype=q.dtype)[:, :, None]
         forces = equations.constraint_forces(self.T, self.data, self._placement(q, 0.0), unit)  # of unit multipliers
         return torch.cat([x.flatten(0, 1) for x in forces])[..., 0].T * self.s / self.rho[:, None]

@@ -274,7 +274,7 @@ class InitialConditions:
 
     @property
     def _row_sizes(self) -> Tensor:
-        """Of rows [rows, 1, 1]."""
+        """The sizes of the rows of constraints [rows, 1, 1] (equations/sizes.py)."""
         return row_sizes(self.topology, self.size)
 
     def _given_positions(self, data: Any) -> Any:

@@ -25,7 +25,7 @@ import copy
 import logging
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, Self
@@ -96,14 +96,18 @@ class Workers:
         settings = config.set(_SETTINGS | {"distributed.nanny.pre-spawn-environ": worker_threads()})
         self._left = contextlib.ExitStack()
         self._left.enter_context(settings)
-        self._left.enter_context(_own_environment())
         self._left.enter_context(_silence(_SILENCED_LOGGERS))
+        before = dict(os.environ)
         try:
-            with _own_environment():  # here, too: this process has all its threads while workers evaluate
-                self._connect(partial(start_local_cluster, module=self._made[0].__module__), Client)
+            self._connect(partial(start_local_cluster, module=self._made[0].__module__), Client)
         except BaseException:  # also Ctrl-C, while jobs wait in a queue
             self.__exit__()
             raise
+        finally:  # nannies run in this process, and give its environment the threads of their workers
+            names = {name for name, _ in before.items() ^ os.environ.items()}
+            own = {name: before.get(name) for name in names}
+            _set_environment(own)
+        self._left.callback(_set_environment, own)  # again: of workers that nannies started later
         return self
 
     def _connect(self, start_here: Callable[[int], Any], client: Callable[..., Any]) -> None:
@@ -169,16 +173,13 @@ class Workers:
             self._client.cancel(futures, force=True)
 
 
-@contextlib.contextmanager
-def _own_environment() -> Iterator[None]:
-    """Restore the environment of this process: a nanny, which runs in it, gives it the number of threads of its worker."""
-    before = dict(os.environ)
-    try:
-        yield
-    finally:
-        for name in os.environ.keys() - before.keys():
-            del os.environ[name]
-        os.environ.update(before)
+def _set_environment(values: Mapping[str, str | None]) -> None:
+    """Set variables of the environment; None: remove one."""
+    for name, x in values.items():
+        if x is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = x
 
 
 @contextlib.contextmanager
