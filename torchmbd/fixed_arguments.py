@@ -41,11 +41,11 @@ class FixedArguments:
                 name if own is None else (own, name),
                 value,
                 f"an argument of {kind}(...), because an object keeps those that it was made with",
-                hint=self.other_way(name),
+                hint=self._remedy(name),
             )
         super().__setattr__(name, value)
 
-    def other_way(self, argument: str) -> str:
+    def _remedy(self, argument: str) -> str:
         """The remedy in the error: how an object with another argument is made."""
         return f"{type(self).__name__}(..., {argument}=...)"
 

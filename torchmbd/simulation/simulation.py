@@ -142,7 +142,7 @@ class Simulation(FixedArguments, Summary):
         integrator_of(arguments.get("method", DEFAULT), options, names)
         return cls(system, duration, **arguments)
 
-    def other_way(self, argument: str) -> str:
+    def _remedy(self, argument: str) -> str:
         """The remedy in the error: how a simulation with another argument is made."""
         return f"simulation.with_arguments({argument}=...), which makes another"
 
