@@ -17,6 +17,7 @@ from torch import Tensor
 from torchmbd.integrate.statistics import ITERATION_ERROR, ROUNDING, TURN, Statistics
 from torchmbd.math.pair import value
 from torchmbd.multibody.equations.equations import split_v
+from torchmbd.multibody.equations.sizes import coordinate_sizes, rate_sizes
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
 
@@ -34,7 +35,7 @@ class StepEstimates:
     def __init__(self, dynamics: Dynamics, constant: float, duration: float, steps: int):
         self.dynamics, self.duration, self.steps, self.h = dynamics, duration, steps, duration / steps
         self.errors = StepErrors(dynamics, constant, self.h)
-        self.iterations = IterationErrors(dynamics.lanes, duration, self.h)
+        self.iterations = IterationErrors(dynamics, duration, self.h)
         self.turn = torch.zeros(steps + 1, dynamics.lanes, dtype=torch.float64)
         self.alternation: Tensor | None = None
         if dynamics.topology.has_fast_elements:
@@ -121,20 +122,23 @@ class IterationErrors:
 
     The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the motion, or to
     the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what the rounding of
-    coordinates at the start makes of them: a system at rest has nothing else.
+    coordinates at the start makes of them: a system at rest has nothing else. All numbers are divided by sizes (sizes.py).
     """
 
-    def __init__(self, lanes: int, duration: float, h: float):
+    def __init__(self, dynamics: Dynamics, duration: float, h: float):
         self.duration, self.h = duration, h
+        arguments = dynamics.topology, dynamics.initial.size, value(dynamics.data["mass"])[:, 0]
+        self.coordinate_sizes, self.rate_sizes = coordinate_sizes(*arguments), rate_sizes(*arguments)
         self.scale: Tensor | None = None  # so far
-        self.largest = torch.zeros(lanes, dtype=torch.float64)
-        self.first_bad = torch.full((lanes,), torch.iinfo(torch.long).max)
+        self.largest = torch.zeros(dynamics.lanes, dtype=torch.float64)
+        self.first_bad = torch.full((dynamics.lanes,), torch.iinfo(torch.long).max)
 
     def update(self, first: int, history: History, errors: Tensor) -> None:
         """Go on with states from the time of number `first` on, and errors of the steps between them [lanes, steps]."""
         if self.scale is None:
-            self.scale = ROUNDING * history.q[0, :, 0].abs().amax(0) / (self.h * self.h)
-        largest = (x[:, :, 0].abs().amax(1) for x in (history.vd, history.v))
+            far = (history.q[0, :, 0].abs() / self.coordinate_sizes).amax(0)
+            self.scale = ROUNDING * far / (self.h * self.h)
+        largest = ((x[:, :, 0].abs() / self.rate_sizes).amax(1) for x in (history.vd, history.v))
         reached, speed = (x.cummax(0).values for x in largest)
         # Up to every time: what comes after a failure is no measure of it.
         scale = self.scale.maximum(reached.maximum(speed / self.duration))

@@ -24,6 +24,7 @@ from torchmbd.multibody.equations.topology import Prescribed
 from torchmbd.results.state import State
 
 MOST = 12  # corrections of mu
+NEGLIGIBLE = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
 ENOUGH = 1e-8  # estimated relative error of mu that gets no other correction; most steps have it after the first
 
 
@@ -42,10 +43,8 @@ class PulledBack(NamedTuple):
 class StepPullback:
     """Of one step from a state to another."""
 
-    def __init__(
-        self, model: Model, before: State, after: State, prescribed: Prescribed, corrections: int, negligible: Tensor
-    ):
-        T, self.corrections, self.negligible = model.T, corrections, negligible
+    def __init__(self, model: Model, before: State, after: State, prescribed: Prescribed, corrections: int):
+        T, self.corrections = model.T, corrections
         varied: dict[int, tuple] = {i: prescribed.laws[i] or () for i in T.varying_primitives}
         self.laws = {f"{i}.{k}": x for i, law in varied.items() for k, x in enumerate(law)}
         self.x, self.z = before.map(leaf), leaf(torch.cat([after.vd, after.lam]))
@@ -57,7 +56,7 @@ class StepPullback:
         ]
         self.data = model.data
         with torch.enable_grad():
-            step = Step(model, self.x, Prescribed(laws, *prescribed[1:]))
+            self.step = step = Step(model, self.x, Prescribed(laws, *prescribed[1:]))
             self.end, self.residual = step.finish(self.z), step.residual(self.z)
         with torch.no_grad():
             self.matrix = step.matrix(self.z)
@@ -85,14 +84,14 @@ class StepPullback:
     def _solved(self, H: Any, goal: Tensor) -> tuple[Tensor, Tensor]:
         """mu [n, 1, lanes] with R_z' mu = goal, and its estimated relative error [lanes]."""
         mu = apply(H, goal)
-        n_v = self.x.v.shape[0]
         active = error = before = torch.ones_like(goal[0, 0])
         for k in range(1, max(MOST, self.corrections) + 1):
             (pulled,) = _pulled([self.residual], [mu], [self.z])
             correction = apply(H, pulled - goal)
             mu = mu - active * correction
-            size = self._size(mu[:, 0].abs()).clamp_min(torch.finfo(mu.dtype).tiny)
-            change = correction[:n_v, 0].abs().amax(0) / size
+            # Where mu of accelerations is rounding only, what mu of multipliers would make of it.
+            size = self.step.size(mu).maximum(NEGLIGIBLE * self.step.size_of_multipliers(mu))[0]
+            change = self.step.size(correction)[0] / size.clamp_min(torch.finfo(mu.dtype).tiny)
             # Each correction leaves the same share of what the one before left.
             error = torch.where(active > 0.0, change * change / before, error)
             before = change.clamp_min(torch.finfo(mu.dtype).tiny)
@@ -101,12 +100,6 @@ class StepPullback:
             if not bool(active.any()):
                 break
         return mu, error
-
-    def _size(self, mu: Tensor) -> Tensor:
-        """Of mu [n, lanes] for accelerations; where that is rounding only, what mu for multipliers would make of it."""
-        n_v = self.x.v.shape[0]
-        size = mu[:n_v].amax(0)
-        return size.maximum(self.negligible * mu[n_v:].amax(0)) if len(mu) > n_v else size
 
 
 def leaf(x: Tensor) -> Tensor:

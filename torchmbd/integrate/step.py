@@ -158,8 +158,16 @@ class Step:
         return dz - correction, correction
 
     def size(self, correction: Tensor) -> Tensor:
-        """Size of a correction of the accelerations [1 + n_b, lanes]."""
-        return correction[: self.model.T.n_v].abs().amax(0)
+        """Size of a correction of the accelerations [1 + n_b, lanes] [1/s2]."""
+        n_v = self.model.T.n_v
+        return (correction[:n_v].abs() / self.model.sizes[:n_v, None]).amax(0)
+
+    def size_of_multipliers(self, z: Tensor) -> Tensor:
+        """Size of the multipliers among unknowns z, or among their cotangents [1 + n_b, lanes]: the acceleration of the
+        heaviest body by them [1/s2]; zero of none."""
+        n_v, none = self.model.T.n_v, torch.zeros_like(z[:1])
+        sizes = torch.cat([self.model.sizes[n_v:], self.model.sizes[:1]])
+        return (torch.cat([z[n_v:], none]).abs() / sizes[:, None]).amax(0)
 
     def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
         """The new state."""
@@ -171,17 +179,20 @@ class Step:
 
 
 class Model:
-    """Equations, weights and data that all steps of a simulation share; a backend may trace its steps."""
+    """Equations, weights and data that all steps of a simulation share; a backend may trace its steps.
 
-    def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: Data):
-        self.T, self.saddle, self.w, self.data = T, saddle, w, data
+    sizes   of accelerations and multipliers [n_v + rows, lanes or 1] (sizes.py): by these iterations compare them
+    """
+
+    def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: Data, sizes: Tensor):
+        self.T, self.saddle, self.w, self.data, self.sizes = T, saddle, w, data, sizes
         self.plain = w.values()
         self.values = {name: value(y) for name, y in data.items()}
 
     @classmethod
     def of(cls, dynamics: Dynamics, w: Weights) -> Model:
         """The model of a simulation."""
-        return cls(dynamics.topology, dynamics.saddle, w, dynamics.data)
+        return cls(dynamics.topology, dynamics.saddle, w, dynamics.data, dynamics.unknown_sizes)
 
     def step(self, x: State, prescribed: Prescribed) -> Step:
         """The step from x."""

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.integrator import Stepper
-from torchmbd.integrate.pullback import PulledBack, StepPullback
+from torchmbd.integrate.pullback import NEGLIGIBLE, PulledBack, StepPullback
 from torchmbd.integrate.statistics import ROUNDING, Statistics
 from torchmbd.integrate.step import algorithmic
 from torchmbd.math.pair import Pair, value
@@ -36,13 +36,7 @@ MOST = 4  # corrections of tangents
 # largest acceleration so far: gradients are those of equations that are solved. A step that needs one is a hard one, where
 # gradients may be off by 1e5 times what is left: it goes on to a smaller share, while corrections fall by half at least.
 MORE, PRECISE, SOLVED = 6, 1e-6, 1e-10
-_NEGLIGIBLE = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
 _EVEN = 1e-9  # of a correction: rounding
-
-
-def negligible(dynamics: Dynamics) -> Tensor:
-    """Acceleration by a multiplier of one that is no more than rounding [lanes] or [1]."""
-    return _NEGLIGIBLE / value(dynamics.data["mass"]).amax((0, 1))
 
 
 class EagerStepper(Stepper):
@@ -58,7 +52,6 @@ class EagerStepper(Stepper):
         # Corrections of tangents: those of a lane depend on no other lane.
         mass = value(dynamics.data["mass"])
         self.passes, self.most = mass.new_full((dynamics.lanes,), float(passes)), passes
-        self.negligible = negligible(dynamics)
         self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
         # A node of a beam that is let go accelerates for much less than a step; other accelerations are good estimates.
         self.begins_uniformly = refresh == 0 and dynamics.topology.has_fast_elements
@@ -79,7 +72,7 @@ class EagerStepper(Stepper):
 
     def pullback(self, before: State, after: State, prescribed: Prescribed, y: State) -> PulledBack:
         """Cotangents of all that a step depends on, from those y of the state after it; leaves are the model's data."""
-        step = StepPullback(self.model, before, after, prescribed, self.least, self.negligible)
+        step = StepPullback(self.model, before, after, prescribed, self.least)
         return step(y, lambda K: self.factor(regularized(K.mT, self.diagonal)))
 
     def restart(self, lanes: Tensor | None = None) -> None:
@@ -132,9 +125,11 @@ class EagerStepper(Stepper):
     def _begin(self, x: State) -> None:
         """Accelerations of the first state are those of before; and what the rounding of coordinates makes of them."""
         if self.scale is None or bool(self.scale.isnan().any()):
-            largest = value(x.vd).abs().amax((0, 1)).nan_to_num(0.0, 0.0)
-            rounding = ROUNDING * value(x.q).abs().amax((0, 1)).nan_to_num(0.0, 0.0) * self.model.plain.inverse_scale
-            start = largest.maximum(rounding).expand(self.dynamics.lanes).contiguous()
+            n_v = self.dynamics.topology.n_v
+            largest = (value(x.vd).abs().amax(1) / self.model.sizes[:n_v]).amax(0)
+            rounding = ROUNDING * self.dynamics.relative_size(value(x.q)) * self.model.plain.inverse_scale
+            start = largest.nan_to_num(0.0, 0.0).maximum(rounding.nan_to_num(0.0, 0.0))
+            start = start.expand(self.dynamics.lanes).contiguous()
             self.scale = start if self.scale is None else torch.where(self.scale.isnan(), start, self.scale)
 
     def _factorize(self, step: Any, z: Tensor, lanes: Tensor | None = None) -> None:
@@ -153,9 +148,7 @@ class EagerStepper(Stepper):
             dz = torch.where(self.passes > k, better, dz)
         if checks:  # by one more correction: where that was needed, later steps make it as well
             dz, correction = step.tangent(self.H, z, dz)
-            size, n_v = step.size(correction), self.dynamics.topology.n_v
-            forces = dz[n_v:].abs().amax(0) if len(dz) > n_v else torch.zeros_like(size)
-            self.check(size, dz[:n_v].abs().amax(0), forces)
+            self.check(step.size(correction), step.size(dz), step.size_of_multipliers(dz))
         for _ in range(MOST if first else 0):  # accelerations of the start are not those of a step
             dz, _ = step.tangent(self.H, z, dz)
         return dz
@@ -163,12 +156,13 @@ class EagerStepper(Stepper):
     def check(self, size: Tensor, largest: Tensor, forces: Tensor) -> None:
         """Estimate the error of tangents, and set how many corrections later steps make.
 
-        size      of one more correction [n_b, lanes];  largest: tangents of accelerations;  forces: and of multipliers
+        size      of one more correction [n_b, lanes];  largest: tangents of accelerations;  forces: and of multipliers;
+                  each by its size
 
         The error is that of the worst variable, relative to the largest that its tangents have been; or, where they are
         nothing but rounding (a load that a joint carries away), to what that of the multipliers' tangents makes of them.
         """
-        largest = torch.where(self.counts, largest.maximum(self.negligible * forces), 0.0)
+        largest = torch.where(self.counts, largest.maximum(NEGLIGIBLE * forces), 0.0)
         self.largest = largest if self.largest is None else largest.maximum(self.largest)
         error = (size / self.largest.clamp_min(torch.finfo(size.dtype).tiny)).amax(0)
         error = torch.where(self.counts, error, 0.0)

@@ -90,7 +90,7 @@ class MovingSteps(Stepper):
 
 
 def _step(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: Any, t1: Any) -> Step:
-    model = Model(dynamics.topology, dynamics.saddle, weights(h), dynamics.data)
+    model = Model.of(dynamics, weights(h))
     return model.step(x, at_own_times(dynamics.topology, t1, dynamics.data))
 
 
@@ -104,7 +104,7 @@ def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> Tensor:
     z, success = torch.full_like(uniform, torch.nan), torch.zeros(uniform.shape[-1], dtype=torch.bool)
     if (solution := backend_of(dynamics).unknowns(dynamics, step)) is not None:
         z, (before, last) = solution
-        scale, rounding = _sizes(z, None), _rounding(step)
+        scale, rounding = _largest(step, z, None), _rounding(dynamics, step)
         small = (last <= _STALLED * scale) | (last <= rounding)
         success = small & ((last <= _ROUNDING * scale) | (before <= _QUADRATIC * scale) | (before <= rounding))
     for start in ([] if estimate is None else [estimate]) + [uniform, torch.zeros_like(uniform)]:
@@ -115,9 +115,9 @@ def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> Tensor:
     return torch.where(success, z, torch.nan)
 
 
-def _rounding(step: Step) -> Tensor:
+def _rounding(dynamics: Dynamics, step: Step) -> Tensor:
     """Size [lanes] of corrections of a system at rest: what the rounding of coordinates makes of its accelerations."""
-    return _EPSILON * value(step.x.q).abs().amax((0, 1)) * step.model.plain.inverse_scale[0]
+    return _EPSILON * dynamics.relative_size(value(step.x.q)) * step.model.plain.inverse_scale[0]
 
 
 def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor]:
@@ -133,16 +133,16 @@ def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Ten
             K = at_z if K is None else torch.where((active & (size > _NEAR))[:, None, None], at_z, K)
             H = factored(K)
         change = step.correct(H, z)[1]
-        before, size = size, _sizes(change, step.model.T.n_v) / _sizes(z, None).clamp_min(_TINY)
+        before, size = size, _largest(step, change, step.model.T.n_v) / _largest(step, z, None).clamp_min(_TINY)
         size = torch.where(size > _SLOW * before, torch.inf, size)
         return change
 
-    return _iterated(correction, estimate, step.model.T.n_v, _rounding(step))
+    return _iterated(step, correction, estimate, _rounding(dynamics, step))
 
 
 def converged(step: Step, H: Factored, z: Tensor, dz: Tensor) -> Tensor:
     """Tangents [n, pair, lanes] of the unknowns z of a step, iterated to rounding from an estimate."""
-    return _iterated(lambda dz, _: step.tangent(H, z, dz)[1], dz, step.model.T.n_v)[0]
+    return _iterated(step, lambda dz, _: step.tangent(H, z, dz)[1], dz)[0]
 
 
 def _implicit(step: Step, H: Factored, z: Tensor) -> Tensor:
@@ -158,7 +158,7 @@ def _implicit(step: Step, H: Factored, z: Tensor) -> Tensor:
             (pulled,) = torch.autograd.grad(residual, leaf, mu, retain_graph=True)
             return apply(H, pulled - goal)
 
-        return _iterated(correction, apply(H, goal), step.model.T.n_v, of=step.model.T.n_v)[0]
+        return _iterated(step, correction, apply(H, goal), of=step.model.T.n_v)[0]
 
     result = z - (residual - residual.detach())
     result.register_hook(solved)
@@ -166,16 +166,16 @@ def _implicit(step: Step, H: Factored, z: Tensor) -> Tensor:
 
 
 def _iterated(
+    step: Step,
     correction: Callable[[Tensor, Tensor], Tensor],
     x: Tensor,
-    n_v: int,
     rounding: Any = 0.0,
     of: int | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """x [n, pair, lanes] less its corrections until those of its first n_v rows are rounding, and which lanes got there.
+    """x [n, pair, lanes] less its corrections until those of accelerations are rounding, and which lanes got there.
 
     correction(x, active)   of the lanes that still change
-    rounding                size of a correction that is rounding whatever x is [lanes]
+    rounding                size of a correction that is rounding whatever x is [lanes] [1/s2]
     of                      how many rows of x are a measure of the others; None: all
     """
     active = torch.ones(x.shape[-1], dtype=torch.bool)
@@ -183,7 +183,7 @@ def _iterated(
     for _ in range(_MOST):
         change = correction(x, active)
         x = torch.where(active, x - change, x)
-        size, scale = _sizes(change, n_v), _sizes(x, of)
+        size, scale = _largest(step, change, step.model.T.n_v), _largest(step, x, of)
         small = (size <= _STALLED * scale) | (size <= rounding)
         # Near the end each correction leaves the same share of what the one before left: the next would be size^2 / before.
         predicted = (size * size <= _ROUNDING * scale * before) & (before <= _NEAR * scale)
@@ -197,9 +197,9 @@ def _iterated(
     return x, success
 
 
-def _sizes(x: Tensor, rows: int | None) -> Tensor:
-    """Largest of the first rows of x [n, pair, lanes] in each lane."""
-    return x[:rows].abs().flatten(0, 1).amax(0)
+def _largest(step: Step, x: Tensor, rows: int | None) -> Tensor:
+    """Largest of the first rows of unknowns x [n, pair, lanes] by their sizes, in each lane."""
+    return (x[:rows].abs() / step.model.sizes[:rows, None]).flatten(0, 1).amax(0)
 
 
 def shortly_after(T: Topology, x: State, h: Any) -> State:

@@ -14,6 +14,7 @@
 constexpr int MOST = 12;                   // corrections of mu, as in adjoint.py
 constexpr long CHECK = 25;                 // steps between two checks of the factors, as in stepper.py
 constexpr double ENOUGH = 1e-8;            // estimated relative error of mu that gets no other
+constexpr double NEGLIGIBLE = 1e-9;         // as in pullback.py
 constexpr double TINY = 1e-300;
 enum { SHARE, A_FROM_VD, A_FROM_A };       // positions among the numbers of a step: the first weights of step.py
 
@@ -26,7 +27,7 @@ struct Job {
   double *values;                                  // [block][data][LANES]
   const double *moved;                             // [steps][block][1 + any][moving][LANES]
   const double *row_mask, *diagonal_shift;         // [N], or null
-  const double *negligible;                         // [block][LANES], see stepper.py
+  const double *weights;                           // [block][N][LANES], one over the size of each unknown
   double *slopes, *moved_slopes;                   // [block][rows][data][LANES], [steps][block][rows][moving][LANES], zeros
   double *state_slopes;                            // [block][rows][N_X][LANES], in: by the last state, out: by the first
   double *error;                                   // [block][LANES], estimated relative error of mu
@@ -90,7 +91,7 @@ extern "C" long adjoint(const Job* job, long begin, long end, double* scratch) {
     const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
     V *values = (V*)J.values + block * J.data, *slopes = (V*)J.slopes + block * S * J.data;
     V worst = spread(0.0);
-    const V negligible = ((const V*)J.negligible)[block];
+    const V* weights = (const V*)J.weights + block * N_;
     std::memcpy((void*)as, (const V*)J.start + block * c.n_v, c.n_v * sizeof(V));
     for (long i = 0; i < J.steps; i++) {
       const V* u = (const V*)J.shared + i * J.prescribed;
@@ -123,7 +124,7 @@ extern "C" long adjoint(const Job* job, long begin, long end, double* scratch) {
       in.strengths = (const V*)J.strengths + step * m.called;
       if (m.called) in.slopes = (const V*)J.law_slopes + step * 2 * m.pairs;
       in.signal_bars = worth;
-      if (i % CHECK == 0 && !reliable(in, m, c, J.row_mask, J.diagonal_shift, spread(2.0), K, R)) return 1;
+      if (i % CHECK == 0 && !reliable(in, m, c, J.row_mask, J.diagonal_shift, spread(2.0), weights, K, R)) return 1;
       if (i % CHECK) renew(in, m, N_, J.row_mask, J.diagonal_shift, K);
       boundary(in);
       for (long s = 0; s < S; s++) {
@@ -150,8 +151,8 @@ extern "C" long adjoint(const Job* job, long begin, long end, double* scratch) {
           }
           solve_transposed(m, N_, K, R);
           for (long n = 0; n < N_; n++) mu[n] -= share * R[n];
-          const V rates = largest(mu, c.n_v), held = negligible * largest(mu + c.n_v, c.rows), size = rates > held ? rates : held;
-          const V change = largest(R, c.n_v) / (size > TINY ? size : spread(TINY));
+          const V rates = largest(mu, weights, c.n_v), held = NEGLIGIBLE * largest(mu + c.n_v, weights + c.n_v, c.rows);
+          const V size = rates > held ? rates : held, change = largest(R, weights, c.n_v) / (size > TINY ? size : spread(TINY));
           left = share > 0.0 ? change * change / before : left;  // each leaves the same share of what the one before left
           before = change > TINY ? change : spread(TINY);
           if (k >= J.corrections) share = left > ENOUGH ? share : spread(0.0);  // what a lane gets depends on no other

@@ -20,6 +20,7 @@ from torchmbd.extensions.native.simd_layout import (
     blocks,
     lanes_out,
     prescribed_blocks,
+    unknown_weights,
     varied_blocks,
 )
 from torchmbd.integrate.adjoint_solver import AdjointSolver, Cotangents, Grid, MotionCotangents, rows_of
@@ -31,7 +32,7 @@ from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "rows", "data", "prescribed", "steps", "moving")
 _ARRAYS = ("shared", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
-_ARRAYS += ("row_mask", "diagonal_shift", "negligible", "slopes", "moved_slopes", "state_slopes", "error")
+_ARRAYS += ("row_mask", "diagonal_shift", "weights", "slopes", "moved_slopes", "state_slopes", "error")
 
 
 class _Job(ctypes.Structure):
@@ -56,7 +57,7 @@ class NativeAdjointSolver(AdjointSolver):
         self.code: ctypes.CDLL | None = library.code
         self.library = library
         self.values = library.value_blocks(grid.dynamics)
-        self.negligible = blocks(expanded(self.stepper.negligible[None, None], len(grid.lanes)))
+        self.unknown_weights = unknown_weights(grid.dynamics, len(grid.lanes))
         self.weights = torch.tensor(grid.weights, dtype=torch.float64)
 
     @cached_property
@@ -107,7 +108,11 @@ class NativeAdjointSolver(AdjointSolver):
         bars = (x if x is None else _spaced(x, steps, self.grid) for x in of_motion)
         arrays |= {f"{name}_bar": x for name, x in zip(names, bars, strict=True)}
         arrays |= {"start": blocks(expanded(a, lanes)), "row_mask": row_mask, "diagonal_shift": diagonal_shift}
-        arrays |= {"negligible": _of_blocks(self.negligible, 0, count), "slopes": slopes, "moved_slopes": moved_slopes}
+        arrays |= {
+            "weights": _of_blocks(self.unknown_weights, 0, count),
+            "slopes": slopes,
+            "moved_slopes": moved_slopes,
+        }
         arrays |= {"state_slopes": state_slopes, "error": error}
         job = _Job(
             lanes=lanes,

@@ -56,10 +56,11 @@ void point(In& in, const Mechanism& m, const Counts& c, V* w) {
   point_constants(in, m.constants);
 }
 
-inline V largest(const V* a, long n) {
+// The largest of n numbers by their sizes; weights: one over the size of each.
+inline V largest(const V* a, const V* weights, long n) {
   V m = spread(0.0);
   for (long i = 0; i < n; i++) {
-    V x = f_abs(a[i]);
+    V x = f_abs(a[i]) * weights[i];
     m = (x > m) | (x != x) ? x : m;  // a nan stays
   }
   return m;
@@ -151,22 +152,23 @@ void renew(const In& in, const Mechanism& m, long unknowns, const double* row_ma
   factor(m, unknowns, K);
 }
 
-// Renews the factors and solves for the row sums: all rates must come out as one. A lane whose matrix is nan says nothing, nor
-// does one whose iterations do not converge (counted: 2 where they do).
+// Renews the factors and solves a system whose solution is known: all unknowns have their sizes, which the rates must come out
+// with. weights: one over these sizes. A lane whose matrix is nan says nothing, nor does one whose iterations do not converge
+// (counted: 2 where they do).
 bool reliable(const In& in, const Mechanism& m, const Counts& c, const double* row_mask, const double* diagonal_shift,
-              const V& counted, V* K, V* b) {
+              const V& counted, const V* weights, V* K, V* b) {
   V sound = spread(0.0);
   fill(in, m, row_mask, diagonal_shift, K);
   std::memset((void*)b, 0, c.unknowns * sizeof(V));
   for (long e = 0; e < m.size; e++) {
-    b[m.row[e]] += K[e];
+    b[m.row[e]] += K[e] / weights[m.column[e]];
     sound += 0.0 * K[e];
   }
   factor(m, c.unknowns, K);
   solve(m, c.unknowns, K, b);
   bool good = true;
   for (long i = 0; i < c.n_v; i++)
-    for (int l = 0; l < LANES; l++) good &= counted[l] != 2.0 || sound[l] != 0.0 || std::fabs(b[i][l] - 1.0) <= INACCURATE;
+    for (int l = 0; l < LANES; l++) good &= counted[l] != 2.0 || sound[l] != 0.0 || std::fabs(b[i][l] * weights[i][l] - 1.0) <= INACCURATE;
   return good;
 }
 

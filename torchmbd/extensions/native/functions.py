@@ -251,7 +251,7 @@ class _Step(_Traced):
         self.sizes = [T.n_q, T.n_v, T.n_v, T.n_v, T.rows]
         weights = Weights(*(self.of_step() for _ in Weights._fields))
         prescribed = self.prescribed()
-        self.model = Model(T, _Saddle(self.blocks), weights, self.data)  # pyright: ignore
+        self.model = Model(T, _Saddle(self.blocks), weights, self.data, None)  # pyright: ignore  # it compares no unknowns
         self.step: Any = self.model.step(State(*self.state(self.sizes)), prescribed)
         n = T.n_v + T.rows
         self.z, self.dz = (Array.input(self.program, name, (n, 1, 1)) for name in ("z", "dz"))

@@ -11,6 +11,7 @@ struct Job {
   double *scratch;
   const Mechanism *mechanism;
   const Feedback *feedback;                   // or null
+  const double *weights;                      // [block][N][LANES], one over the size of each unknown
 };
 
 // Bytes of scratch memory.
@@ -56,7 +57,7 @@ extern "C" long rates(const Job* job) {
     };
     take(x, 0);
     if (J.check) {
-      if (!reliable(in, m, c, nullptr, nullptr, spread(2.0), K, R)) return 1;
+      if (!reliable(in, m, c, nullptr, nullptr, spread(2.0), (const V*)J.weights + block * c.unknowns, K, R)) return 1;
     } else {
       renew(in, m, c.unknowns, nullptr, nullptr, K);
     }

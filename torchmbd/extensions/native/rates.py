@@ -14,14 +14,14 @@ import torch
 from torch import Tensor
 
 from torchmbd.extensions.native.library import Library
-from torchmbd.extensions.native.simd_layout import addresses, in_blocks
+from torchmbd.extensions.native.simd_layout import addresses, in_blocks, unknown_weights
 from torchmbd.integrate.ode import RightHandSide
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.progress import reach
 
 CHECK = 100  # evaluations between two checks of the factors
 _NUMBERS = ("lanes", "n_b", "data", "data_tangents", "check")
-_ARRAYS = ("prescribed", "values", "tangents", "y", "dy", "lam", "scratch", "mechanism", "feedback")
+_ARRAYS = ("prescribed", "values", "tangents", "y", "dy", "lam", "scratch", "mechanism", "feedback", "weights")
 
 
 class _Job(ctypes.Structure):
@@ -38,6 +38,7 @@ class CompiledRates:
         self.code = code
         self.values, self.tangents = library.data_blocks(dynamics)
         self.scratch = torch.empty(code.rates_scratch(library.address) // 8, dtype=torch.float64)
+        self.weights = unknown_weights(dynamics, dynamics.lanes)
         self.count, self.feedback = 0, library.feedback(dynamics)
 
     def __call__(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
@@ -60,7 +61,7 @@ class CompiledRates:
             check=int(self.count % CHECK == 0),
             mechanism=self.library.address,
             feedback=None if self.feedback is None else self.feedback.address,
-            **addresses(arrays | {"lam": lam, "scratch": self.scratch}),
+            **addresses(arrays | {"lam": lam, "scratch": self.scratch, "weights": self.weights}),
         )
         self.count += 1
         run = partial(self.code.rates, ctypes.byref(job))

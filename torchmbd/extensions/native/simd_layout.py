@@ -11,7 +11,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint_solver import varied_numbers
+from torchmbd.integrate.lanes import expanded
 from torchmbd.multibody.equations.topology import Schedule, Topology
+from torchmbd.multibody.system.dynamics import Dynamics
 
 # One vector of AVX: of the lanes of a single design three are idle; twice as many make no batch faster, but a single design of
 # ten or more bodies half as fast.
@@ -24,6 +26,11 @@ def blocks(x: Tensor) -> Tensor:
     if missing:
         x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], missing)], -1)
     return x.unflatten(-1, (-1, LANES)).permute(2, 1, 0, 3).contiguous()
+
+
+def unknown_weights(dynamics: Dynamics, lanes: int) -> Tensor:
+    """One over the sizes of accelerations and multipliers (sizes.py) [block, 1, n_v + rows, LANES]."""
+    return blocks(expanded(dynamics.unknown_sizes[:, None].reciprocal(), lanes))
 
 
 def lanes_out(x: Tensor, lanes: int) -> Tensor:

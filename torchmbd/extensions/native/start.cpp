@@ -22,6 +22,7 @@ struct Job {
   const double *z_bar;                               // [N][columns][rows][lanes]
   double *slopes, *x_slopes;                         // [block][rows][data][LANES], [block][rows][N_Q + 2 N_V][LANES], zeros
   const Mechanism *mechanism;
+  const double *weights;                             // [block][N][LANES], one over the size of each unknown
 };
 
 static inline V take(const double* from, int valid) {
@@ -70,7 +71,7 @@ extern "C" long start(const Job* job, long begin, long end, double* scratch) {
     const int valid = (int)(L - at < LANES ? L - at : LANES);
     point_data(in, (const V*)J.values + block * J.data);
     for (long n = 0; n < n_x; n++) x[n] = take(J.x + n * L + at, valid);
-    if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, spread(2.0), K, b)) return 1;
+    if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, spread(2.0), (const V*)J.weights + block * N_, K, b)) return 1;
     fill(in, m, nullptr, nullptr, exact);
     for (long k = 0; k < C; k++) {
       for (int i = 0; J.third && i < 2; i++) u[i] = spread(J.scales[2 * k + i]);

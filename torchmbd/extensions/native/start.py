@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.extensions.native.library import Library, has_start, library
-from torchmbd.extensions.native.simd_layout import LANES, addresses, in_blocks, lanes_out
+from torchmbd.extensions.native.simd_layout import LANES, addresses, in_blocks, lanes_out, unknown_weights
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.prepared import detached
 from torchmbd.integrate.smooth_start import start_weights
@@ -46,6 +46,7 @@ _ARRAYS = (
     "slopes",
     "x_slopes",
     "mechanism",
+    "weights",
 )
 
 
@@ -134,6 +135,7 @@ class _Start:
         row_mask, diagonal_shift = self.dynamics.diagonal() or (None, None)
         arrays = {"shared": self.numbers, "values": values, "scales": self.scales, "x": x, "z": z, "z_bar": z_bar}
         arrays |= {"row_mask": row_mask, "diagonal_shift": diagonal_shift, "slopes": slopes, "x_slopes": x_slopes}
+        arrays["weights"] = unknown_weights(self.dynamics, lanes)
         job = _Job(
             lanes=lanes,
             rows=rows,

@@ -29,6 +29,7 @@ struct Job {
   const Feedback *feedback;                                      // or null
   double *counted;                                               // [block][LANES]: 0 of lanes without a motion, 1, 2: iterations converge; in and out
   double *scale;                                                 // [block][LANES], largest accelerations so far, in and out
+  const double *weights;                                         // [block][N][LANES], one over the size of each unknown
 };
 
 static bool any(const V& mask) {
@@ -127,6 +128,7 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
     V* factors = (V*)J.factors + block * m.size;
     point_data(in, (const V*)J.values + block * J.data);
     const V passes = ((const V*)J.passes)[block];
+    const V* weights = (const V*)J.weights + block * N_;
     V& scale = ((V*)J.scale)[block];
     V& counted = ((V*)J.counted)[block];
     bool fresh = J.fresh;
@@ -143,7 +145,7 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
         marked = i;
         start(c, state, z);
         if (ask(in, m, J.feedback, SLOPES, i, block)) return 2;
-        if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, counted, trial, R)) return 1;
+        if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, counted, weights, trial, R)) return 1;
       }
       const bool always = J.refresh <= 0, due = always || (J.first + i) % J.refresh == 0;
       if (J.refresh < 0)
@@ -166,10 +168,10 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
         solve(m, N_, factors, R);
         for (long n = 0; n < N_; n++) z[n] -= R[n];
         before = last_size;
-        last_size = largest(R, c.n_v);
+        last_size = largest(R, weights, c.n_v);
         if (k == 0) before = last_size;
       }
-      const V reached = largest(z, c.n_v);
+      const V reached = largest(z, weights, c.n_v);
       scale = reached > scale ? reached : scale;
       V further = spread(0.0);
       V open = counted != 0.0 ? imprecise(before, last_size, scale, further) : spread(0.0);
@@ -182,7 +184,7 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
         for (long e = 0; e < m.size; e++) factors[e] = open != 0.0 ? trial[e] : factors[e];
         further += open;
         before = open != 0.0 ? last_size : before;
-        last_size = open != 0.0 ? largest(R, c.n_v) : last_size;
+        last_size = open != 0.0 ? largest(R, weights, c.n_v) : last_size;
         open = open != 0.0 ? imprecise(before, last_size, scale, further) : open;
       }
       put(J.sizes + 3 * i * J.lanes + block * LANES, before, valid);
@@ -209,9 +211,9 @@ extern "C" long run_steps(const Job* job, long begin, long end, double* scratch)
           const V done = spread(k < J.most ? (double)k : -1.0), share = passes > done ? spread(1.0) : spread(0.0);
           for (long n = 0; n < N_; n++) ds[n] -= share * R[n];
           if (!checks || k != J.most) continue;
-          put(J.errors + s * J.lanes + block * LANES, largest(R, c.n_v), valid);
-          put(J.errors + (S + s) * J.lanes + block * LANES, largest(ds, c.n_v), valid);
-          put(J.errors + (2 * S + s) * J.lanes + block * LANES, largest(ds + c.n_v, c.rows), valid);
+          put(J.errors + s * J.lanes + block * LANES, largest(R, weights, c.n_v), valid);
+          put(J.errors + (S + s) * J.lanes + block * LANES, largest(ds, weights, c.n_v), valid);
+          put(J.errors + (2 * S + s) * J.lanes + block * LANES, largest(ds + c.n_v, weights + c.n_v, c.rows), valid);
         }
         in.next = next + (1 + s) * n_x;
         finish_tangent(in);

@@ -22,6 +22,7 @@ from torchmbd.extensions.native.simd_layout import (
     blocks,
     lanes_out,
     prescribed_blocks,
+    unknown_weights,
     varied_blocks,
 )
 from torchmbd.integrate.lanes import expanded
@@ -39,7 +40,7 @@ _NUMBERS = ("lanes", "n_b", "data", "data_tangents", "prescribed", "first", "ste
 _NUMBERS += ("fresh", "moving", "tables")
 _ARRAYS = ("shared", "state", "values", "tangents", "factors", "row_mask", "diagonal_shift", "q", "v", "vd", "lam")
 _ARRAYS += ("sizes", "errors")
-_ARRAYS += ("moved", "mechanism", "passes", "feedback", "counted", "scale")
+_ARRAYS += ("moved", "mechanism", "passes", "feedback", "counted", "scale", "weights")
 CALL = 10 * CHECK  # steps of a call without tangents: progress is shown between two calls
 
 
@@ -68,6 +69,7 @@ class NativeStepper(EagerStepper):
         self.weights = torch.tensor(w, dtype=torch.float64)
         self.feedback = library.feedback(dynamics)
         self.values, self.tangents = library.data_blocks(dynamics)
+        self.unknown_weights = unknown_weights(dynamics, self.lanes)
         self.factors = torch.empty(len(self.values) * code.steps_factors(library.address) // 8, dtype=torch.float64)
 
     def restart(self, lanes: Tensor | None = None) -> None:
@@ -104,7 +106,7 @@ class NativeStepper(EagerStepper):
         arrays = {"shared": table, "state": state, "values": self.values, "tangents": self.tangents, "moved": moved}
         arrays |= {"factors": self.factors, "row_mask": row_mask, "diagonal_shift": diagonal_shift}
         arrays |= {name: x[start:] for name, x in zip(("q", "v", "vd", "lam"), record.parts, strict=True)}
-        arrays |= {"sizes": sizes, "errors": errors, "scale": scale}
+        arrays |= {"sizes": sizes, "errors": errors, "scale": scale, "weights": self.unknown_weights}
         counted = blocks((self.counts * (1.0 + self.sound))[None, None].double())
         arrays |= {"passes": blocks(self.passes[None, None]), "counted": counted}
         job = Job(

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.extensions.native.library import library
-from torchmbd.extensions.native.simd_layout import LANES, addresses, blocks, lanes_out
+from torchmbd.extensions.native.simd_layout import LANES, addresses, blocks, lanes_out, unknown_weights
 from torchmbd.extensions.native.steps import Job, make_steps
 from torchmbd.integrate.lanes import expanded
 from torchmbd.integrate.step import Step
@@ -42,6 +42,7 @@ def unknowns(dynamics: Dynamics, step: Step) -> tuple[Tensor, Tensor] | None:
     arrays["factors"] = new(len(values) * code.code.steps_factors(code.address) // 8, dtype=torch.float64)
     each = new(len(values), LANES, dtype=torch.float64)
     arrays |= {"passes": each, "counted": each + 2.0, "scale": each.clone()}
+    arrays["weights"] = unknown_weights(dynamics, lanes)
     job = Job(mechanism=code.address, **numbers, **addresses(arrays))
     if make_steps(code.code, job, code.threads(lanes)):
         return None

@@ -12,6 +12,9 @@ kinds:
     size_at twice the root mean square of these distances at a position [m], with its derivatives: for least squares, whose
             results depend on it. A design of a batch has the results of a system that is built with it
 
+The unknowns of a step are compared by their sizes: s of accelerations, m L^2 / rho of multipliers, with the largest mass m of a
+body. So all of them become numbers in 1/s^2, and cotangents of both kinds have one unit too.
+
 A joint is closed where |Phi| is less than 1e-11 rho, and a small multiple of what the rounding of positions makes of it.
 Checked in tests/physics/test_units_of_systems.py, tests/sensitivity/test_node_variables.py.
 """
@@ -72,14 +75,34 @@ def rate_sizes_at(T: Topology, size: Any) -> Any:
 
 
 def rate_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:
-    """s of the module header [n_v], of bodies with masses [bodies]; size: as built [m]."""
+    """s of the module header [n_v, ...], of bodies with masses [bodies, ...]; size: as built [m]."""
     n = T.bodies
-    result = torch.ones(T.n_rates, dtype=torch.float64)
+    result = torch.ones(T.n_rates, *mass.shape[1:], dtype=torch.float64)
     result[: 3 * n] = size
-    result[6 * n :] = (size * mass[: T.flexible].clamp_min(0.0).sqrt()).repeat(T.modes)
+    result[6 * n :] = _modal_sizes(T, size, mass)
     if T.rates is None:
         return result
     unit = (T.rates != 0.0).sum(1) == 1  # of a body that is guided by joints: its independent rates are some of its own
     unit &= T.rates.abs().amax(1) == 1.0
     rows = torch.nonzero(unit)[:, 0]
-    return result.new_ones(T.n_v).index_copy(0, T.rates[rows].abs().argmax(1), result[rows])
+    return result.new_ones(T.n_v, *result.shape[1:]).index_copy(0, T.rates[rows].abs().argmax(1), result[rows])
+
+
+def coordinate_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:
+    """Sizes [n_q, ...] of the coordinates whose rates have the sizes s of the module header; arguments as of `rate_sizes`."""
+    n, modal = T.bodies, _modal_sizes(T, size, mass)
+    result = torch.ones(T.n_q, *mass.shape[1:], dtype=torch.float64)
+    result[: 3 * n] = size
+    result[7 * n : 7 * n + len(modal)] = modal
+    return result
+
+
+def unknown_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:
+    """Sizes [n_v + rows, ...] of accelerations and multipliers (module header); arguments as of `rate_sizes`."""
+    rho = row_sizes(T, size)[:, 0].reshape(T.rows, *(1,) * (mass.dim() - 1))
+    return torch.cat([rate_sizes(T, size, mass), mass.amax(0) * size**2 / rho])
+
+
+def _modal_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:
+    """L sqrt(m) of modal coordinates [modes * flexible, ...], those of one mode after the other."""
+    return (size * mass[: T.flexible].clamp_min(0.0).sqrt()).repeat(T.modes, *(1,) * (mass.dim() - 1))
