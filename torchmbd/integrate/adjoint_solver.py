@@ -131,7 +131,7 @@ class AdjointSolver:
         self.grid, self.dynamics = grid, grid.dynamics
         T, lanes = self.dynamics.topology, len(grid.lanes)
         self.data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
-        model = Model(T, self.dynamics.saddle, grid.weights, self.data, self.dynamics.unknown_sizes)
+        model = Model(T, self.dynamics.saddle, grid.weights, self.data, self.dynamics.sizes.unknowns)
         self.corrections, steps = grid.corrections, len(grid.times) - 1
         self.stepper = EagerStepper(self.dynamics, model, (1, self.corrections), refresh=1)
         starts = [part.start for part in segments(steps)] if grid.starts is None else grid.starts

@@ -17,7 +17,6 @@ from torch import Tensor
 from torchmbd.integrate.statistics import ITERATION_ERROR, ROUNDING, TURN, Statistics
 from torchmbd.math.pair import value
 from torchmbd.multibody.equations.equations import split_v
-from torchmbd.multibody.equations.sizes import coordinate_sizes, rate_sizes
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.history import History
 
@@ -127,8 +126,7 @@ class IterationErrors:
 
     def __init__(self, dynamics: Dynamics, duration: float, h: float):
         self.duration, self.h = duration, h
-        arguments = dynamics.topology, dynamics.initial.size, value(dynamics.data["mass"])[:, 0]
-        self.coordinate_sizes, self.rate_sizes = coordinate_sizes(*arguments), rate_sizes(*arguments)
+        self.sizes = dynamics.sizes
         self.scale: Tensor | None = None  # so far
         self.largest = torch.zeros(dynamics.lanes, dtype=torch.float64)
         self.first_bad = torch.full((dynamics.lanes,), torch.iinfo(torch.long).max)
@@ -136,9 +134,9 @@ class IterationErrors:
     def update(self, first: int, history: History, errors: Tensor) -> None:
         """Go on with states from the time of number `first` on, and errors of the steps between them [lanes, steps]."""
         if self.scale is None:
-            far = (history.q[0, :, 0].abs() / self.coordinate_sizes).amax(0)
+            far = (history.q[0, :, 0].abs() / self.sizes.q).amax(0)
             self.scale = ROUNDING * far / (self.h * self.h)
-        largest = ((x[:, :, 0].abs() / self.rate_sizes).amax(1) for x in (history.vd, history.v))
+        largest = ((x[:, :, 0].abs() / self.sizes.v).amax(1) for x in (history.vd, history.v))
         reached, speed = (x.cummax(0).values for x in largest)
         # Up to every time: what comes after a failure is no measure of it.
         scale = self.scale.maximum(reached.maximum(speed / self.duration))

@@ -192,7 +192,7 @@ class Model:
     @classmethod
     def of(cls, dynamics: Dynamics, w: Weights) -> Model:
         """The model of a simulation."""
-        return cls(dynamics.topology, dynamics.saddle, w, dynamics.data, dynamics.unknown_sizes)
+        return cls(dynamics.topology, dynamics.saddle, w, dynamics.data, dynamics.sizes.unknowns)
 
     def step(self, x: State, prescribed: Prescribed) -> Step:
         """The step from x."""

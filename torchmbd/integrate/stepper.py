@@ -125,9 +125,9 @@ class EagerStepper(Stepper):
     def _begin(self, x: State) -> None:
         """Accelerations of the first state are those of before; and what the rounding of coordinates makes of them."""
         if self.scale is None or bool(self.scale.isnan().any()):
-            n_v = self.dynamics.topology.n_v
-            largest = (value(x.vd).abs().amax(1) / self.model.sizes[:n_v]).amax(0)
-            rounding = ROUNDING * self.dynamics.relative_size(value(x.q)) * self.model.plain.inverse_scale
+            sizes = self.dynamics.sizes
+            largest, far = ((value(y)[:, 0].abs() / s).amax(0) for y, s in ((x.vd, sizes.v), (x.q, sizes.q)))
+            rounding = ROUNDING * far * self.model.plain.inverse_scale
             start = largest.nan_to_num(0.0, 0.0).maximum(rounding.nan_to_num(0.0, 0.0))
             start = start.expand(self.dynamics.lanes).contiguous()
             self.scale = start if self.scale is None else torch.where(self.scale.isnan(), start, self.scale)

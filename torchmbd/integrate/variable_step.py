@@ -117,7 +117,7 @@ def _solved(dynamics: Dynamics, step: Step, estimate: Tensor | None) -> Tensor:
 
 def _rounding(dynamics: Dynamics, step: Step) -> Tensor:
     """Size [lanes] of corrections of a system at rest: what the rounding of coordinates makes of its accelerations."""
-    return _EPSILON * dynamics.relative_size(value(step.x.q)) * step.model.plain.inverse_scale[0]
+    return _EPSILON * (value(step.x.q)[:, 0].abs() / dynamics.sizes.q).amax(0) * step.model.plain.inverse_scale[0]
 
 
 def _from(dynamics: Dynamics, step: Step, estimate: Tensor) -> tuple[Tensor, Tensor]:

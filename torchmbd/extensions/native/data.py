@@ -74,22 +74,20 @@ def _number(x: Any, dynamics: Dynamics) -> Any:
 
 def unflattened(dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
     """Cotangents of the data [component..., rows, lanes] out of those of what stands in memory [n, rows, lanes]."""
-    result = {name: by.new_zeros(*x.shape[:-2], *by.shape[1:]) for name, x in dynamics.data.items()}
-    T = dynamics.topology
-    start, laws = 0, iter(groups(T).items())
-    constants = {constants_name(i) for i in range(len(T.primitives))}  # no design varies them
-    for name, x in _in_memory(dynamics).items():
-        n = value(x).shape[:-2].numel()
-        part = by[start : start + n]
-        start += n
-        if name in SHAPES:
-            order = memory_order(SHAPES[name])
-            back = [order.index(d) for d in range(len(order))]
-            result[name] = part.reshape(*value(x).shape[:-2], *by.shape[1:]).permute(*back, -2, -1).contiguous()
-        elif name not in constants:
-            some = next(members for form_, members in laws if numbers_of(form_.law))
-            numbers = [y for _, _, law in some for y in form(law)[1]]
-            for k, y in enumerate(numbers):
-                if isinstance(y, tuple):
-                    result[y[0]][y[1]] += part[k]
+    T, start, result = dynamics.topology, 0, {}
+    for name in kind_of(dynamics).data:
+        order, shape = memory_order(SHAPES[name]), value(dynamics.data[name]).shape[:-2]
+        part = by[start : start + shape.numel()].reshape(*(shape[d] for d in order), *by.shape[1:])
+        result[name] = part.permute(*(order.index(d) for d in range(len(order))), -2, -1)
+        start += shape.numel()
+    start += sum(p.numbers.shape[:2].numel() for p in T.primitives if p.constants)  # no design varies them
+    for name, x in dynamics.data.items():
+        if name not in result:
+            result[name] = by.new_zeros(*x.shape[:-2], *by.shape[1:])
+    for key, some in groups(T).items():
+        if numbers_of(key.law):
+            for x in (y for _, _, law in some for y in form(law)[1]):
+                if isinstance(x, tuple):
+                    result[x[0]][x[1]] += by[start]
+                start += 1
     return result

@@ -30,7 +30,7 @@ def blocks(x: Tensor) -> Tensor:
 
 def unknown_weights(dynamics: Dynamics, lanes: int) -> Tensor:
     """One over the sizes of accelerations and multipliers (sizes.py) [block, 1, n_v + rows, LANES]."""
-    return blocks(expanded(dynamics.unknown_sizes[:, None].reciprocal(), lanes))
+    return blocks(expanded(dynamics.sizes.unknowns[:, None].reciprocal(), lanes))
 
 
 def lanes_out(x: Tensor, lanes: int) -> Tensor:

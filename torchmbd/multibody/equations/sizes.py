@@ -21,7 +21,7 @@ Checked in tests/physics/test_units_of_systems.py, tests/sensitivity/test_node_v
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -88,19 +88,27 @@ def rate_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:
     return result.new_ones(T.n_v, *result.shape[1:]).index_copy(0, T.rates[rows].abs().argmax(1), result[rows])
 
 
-def coordinate_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:
-    """Sizes [n_q, ...] of the coordinates whose rates have the sizes s of the module header; arguments as of `rate_sizes`."""
-    n, modal = T.bodies, _modal_sizes(T, size, mass)
-    result = torch.ones(T.n_q, *mass.shape[1:], dtype=torch.float64)
-    result[: 3 * n] = size
-    result[7 * n : 7 * n + len(modal)] = modal
-    return result
+class Sizes(NamedTuple):
+    """Sizes of coordinates [n_q, lanes], of rates [n_v, lanes], and of accelerations above multipliers [n_v + rows, lanes]."""
+
+    q: Tensor
+    v: Tensor
+    unknowns: Tensor
+
+    @classmethod
+    def of(cls, T: Topology, size: float, mass: Tensor) -> Sizes:
+        """Of bodies with masses [bodies, lanes]; size: as built [m]."""
+        v, lanes = rate_sizes(T, size, mass), mass.shape[1:]
+        modal = v[6 * T.bodies :] if T.rates is None else _modal_sizes(T, size, mass)
+        of_bodies = torch.cat([mass.new_full((3 * T.bodies,), size), mass.new_ones(4 * T.bodies)])
+        q = torch.cat([_wide(of_bodies, lanes), modal, mass.new_ones(T.turn_count, *lanes)])
+        rho = row_sizes(T, size)[:, 0]
+        return cls(q, v, torch.cat([v, size**2 * mass.amax(0) / rho]))
 
 
-def unknown_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:
-    """Sizes [n_v + rows, ...] of accelerations and multipliers (module header); arguments as of `rate_sizes`."""
-    rho = row_sizes(T, size)[:, 0].reshape(T.rows, *(1,) * (mass.dim() - 1))
-    return torch.cat([rate_sizes(T, size, mass), mass.amax(0) * size**2 / rho])
+def _wide(x: Tensor, lanes: torch.Size) -> Tensor:
+    """Numbers [n] that all lanes share [n, lanes]."""
+    return x[:, None].expand(-1, *lanes)
 
 
 def _modal_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:

@@ -34,7 +34,7 @@ from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, cat, linear, value, variation
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.data import Data
-from torchmbd.multibody.equations.sizes import coordinate_sizes, row_sizes, unknown_sizes
+from torchmbd.multibody.equations.sizes import Sizes, row_sizes
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.saddle.condensation import Condensation
 from torchmbd.multibody.saddle.factors import Diagonal, regularized
@@ -169,14 +169,9 @@ class Dynamics:
             _ = self.least_norm
 
     @cached_property
-    def unknown_sizes(self) -> Tensor:
-        """Sizes of accelerations and multipliers (sizes.py) [n_v + rows, lanes], or of all lanes alike [n_v + rows, 1]."""
-        return unknown_sizes(self.topology, self.initial.size, value(self.data["mass"])[:, 0].detach())
-
-    def relative_size(self, q: Tensor) -> Tensor:
-        """The largest of coordinates q [n_q, ..., lanes] by its size (sizes.py) [lanes]."""
-        sizes = coordinate_sizes(self.topology, self.initial.size, value(self.data["mass"])[:, 0].detach())
-        return (q.abs() / sizes.reshape(len(q), *(1,) * (q.dim() - 2), -1)).flatten(0, -2).amax(0)
+    def sizes(self) -> Sizes:
+        """By which iterations compare numbers (sizes.py) [n, lanes], or [n, 1] where all lanes have the same."""
+        return Sizes.of(self.topology, self.initial.size, value(self.data["mass"])[:, 0].detach())
 
     @cached_property
     def least_norm(self) -> LeastNorm | None:
