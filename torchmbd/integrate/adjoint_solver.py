@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -129,14 +130,18 @@ class AdjointSolver:
 
     def __init__(self, grid: Grid):
         self.grid, self.dynamics = grid, grid.dynamics
-        T, lanes = self.dynamics.topology, len(grid.lanes)
-        self.data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
-        model = Model(T, self.dynamics.saddle, grid.weights, self.data, self.dynamics.sizes.unknowns)
         self.corrections, steps = grid.corrections, len(grid.times) - 1
-        self.stepper = EagerStepper(self.dynamics, model, (1, self.corrections), refresh=1)
         starts = [part.start for part in segments(steps)] if grid.starts is None else grid.starts
         self.segments = [range(i, j) for i, j in itertools.pairwise(sorted({*starts, *grid.cuts, steps}))]
         self.accelerations = self._accelerations() if grid.starts is None else []
+
+    @cached_property
+    def stepper(self) -> EagerStepper:
+        """Its model's data are leaves of the pullbacks of steps."""
+        dynamics, lanes = self.dynamics, len(self.grid.lanes)
+        data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in dynamics.data.items()}
+        model = Model(dynamics.topology, dynamics.saddle, self.grid.weights, data, dynamics.sizes.unknowns)
+        return EagerStepper(dynamics, model, (1, self.corrections), refresh=1)
 
     def __call__(
         self, of_motion: MotionCotangents, of_states: Mapping[int, State] = MappingProxyType({})
@@ -163,7 +168,7 @@ class AdjointSolver:
         T = self.dynamics.topology
         schedule = self._schedule(steps)
         states = self._states(self._history(number, schedule))
-        by: dict[str, Any] = dict.fromkeys(self.data, 0.0)
+        by: dict[str, Any] = dict.fromkeys(self.dynamics.data, 0.0)
         laws, error = [], torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(steps))):
             cotangents = self.stepper.pullback(states[i], states[i + 1], schedule[i], y)

@@ -58,6 +58,7 @@ class NativeAdjointSolver(AdjointSolver):
         self.library = library
         self.values = library.value_blocks(grid.dynamics)
         self.unknown_weights = unknown_weights(grid.dynamics, len(grid.lanes))
+        self.diagonal = grid.dynamics.diagonal()
         self.weights = torch.tensor(grid.weights, dtype=torch.float64)
 
     @cached_property
@@ -102,7 +103,7 @@ class NativeAdjointSolver(AdjointSolver):
         new = values.new_zeros
         slopes, moved_slopes = new(count, rows, data, LANES), new(len(steps), count, rows, moving, LANES)
         state_slopes, error = blocks(torch.cat([expanded(x, lanes) for x in y])), new(count, LANES)
-        names, (row_mask, diagonal_shift) = ("q", "v", "vd", "lam"), self.stepper.diagonal or (None, None)
+        names, (row_mask, diagonal_shift) = ("q", "v", "vd", "lam"), self.diagonal or (None, None)
         arrays: dict[str, Tensor | None] = {"shared": table, "values": values, "moved": moved}
         arrays |= {name: expanded(x, lanes).contiguous() for name, x in zip(names, h.states, strict=True)}
         bars = (x if x is None else _spaced(x, steps, self.grid) for x in of_motion)

@@ -76,16 +76,7 @@ def rate_sizes_at(T: Topology, size: Any) -> Any:
 
 def rate_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:
     """s of the module header [n_v, ...], of bodies with masses [bodies, ...]; size: as built [m]."""
-    n = T.bodies
-    result = torch.ones(T.n_rates, *mass.shape[1:], dtype=torch.float64)
-    result[: 3 * n] = size
-    result[6 * n :] = _modal_sizes(T, size, mass)
-    if T.rates is None:
-        return result
-    unit = (T.rates != 0.0).sum(1) == 1  # of a body that is guided by joints: its independent rates are some of its own
-    unit &= T.rates.abs().amax(1) == 1.0
-    rows = torch.nonzero(unit)[:, 0]
-    return result.new_ones(T.n_v, *result.shape[1:]).index_copy(0, T.rates[rows].abs().argmax(1), result[rows])
+    return _size_of_kinds(T, size, mass)[T.rate_kinds]
 
 
 class Sizes(NamedTuple):
@@ -98,19 +89,13 @@ class Sizes(NamedTuple):
     @classmethod
     def of(cls, T: Topology, size: float, mass: Tensor) -> Sizes:
         """Of bodies with masses [bodies, lanes]; size: as built [m]."""
-        v, lanes = rate_sizes(T, size, mass), mass.shape[1:]
-        modal = v[6 * T.bodies :] if T.rates is None else _modal_sizes(T, size, mass)
-        of_bodies = torch.cat([mass.new_full((3 * T.bodies,), size), mass.new_ones(4 * T.bodies)])
-        q = torch.cat([_wide(of_bodies, lanes), modal, mass.new_ones(T.turn_count, *lanes)])
-        rho = row_sizes(T, size)[:, 0]
-        return cls(q, v, torch.cat([v, size**2 * mass.amax(0) / rho]))
+        of_kinds = _size_of_kinds(T, size, mass)
+        v = of_kinds[T.rate_kinds]
+        multipliers = size**2 * mass.amax(0) / row_sizes(T, size)[:, 0]
+        return cls(of_kinds[T.coordinate_kinds], v, torch.cat([v, multipliers]))
 
 
-def _wide(x: Tensor, lanes: torch.Size) -> Tensor:
-    """Numbers [n] that all lanes share [n, lanes]."""
-    return x[:, None].expand(-1, *lanes)
-
-
-def _modal_sizes(T: Topology, size: float, mass: Tensor) -> Tensor:
-    """L sqrt(m) of modal coordinates [modes * flexible, ...], those of one mode after the other."""
-    return (size * mass[: T.flexible].clamp_min(0.0).sqrt()).repeat(T.modes, *(1,) * (mass.dim() - 1))
+def _size_of_kinds(T: Topology, size: float, mass: Tensor) -> Tensor:
+    """Sizes [2 + flexible, ...] of an angle, of a way, and of modal coordinates of each flexible body: `T.rate_kinds`."""
+    of_modes = size * mass[: T.flexible].clamp_min(0.0).sqrt()
+    return torch.cat([torch.full_like(mass[:1], 1.0), torch.full_like(mass[:1], size), of_modes])

@@ -149,6 +149,23 @@ class Topology:
     def n_v(self) -> int:
         return self.n_rates if self.rates is None else self.rates.shape[1]
 
+    @cached_property
+    def rate_kinds(self) -> Tensor:
+        """What each rate is [n_v]: 0 an angular velocity, 1 a velocity, 2 + k of a mode of flexible body k."""
+        n = 3 * self.bodies
+        kinds = torch.tensor([1] * n + [0] * n + [2 + k for k in range(self.flexible)] * self.modes, dtype=torch.long)
+        if self.rates is None:
+            return kinds
+        # Of a body that is guided by joints the independent rates are some of its own, which are rows of one 1; else angles.
+        rows = torch.nonzero(((self.rates != 0.0).sum(1) == 1) & (self.rates.abs().amax(1) == 1.0))[:, 0]
+        return kinds.new_zeros(self.n_v).index_copy(0, self.rates[rows].abs().argmax(1), kinds[rows])
+
+    @cached_property
+    def coordinate_kinds(self) -> Tensor:
+        """What each coordinate is [n_q], as `rate_kinds`."""
+        n, modal = self.bodies, [2 + k for k in range(self.flexible)] * self.modes
+        return torch.tensor([1] * (3 * n) + [0] * (4 * n) + modal + [0] * self.turn_count, dtype=torch.long)
+
     @property
     def n_rates(self) -> int:
         """Rates of all bodies."""
