@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from types import ModuleType
 
 import pytest
 
@@ -23,9 +24,10 @@ def test_no_name_of_the_modules_own_is_offered():
     """As a completion would list it: imports of the module, or names of its helpers."""
     offered = {name for name in dir(mbd) if not name.startswith("_")}
     assert offered == set(mbd.__all__)
-    for room in (mbd.io, mbd.viz):
-        extended = {x.partition(".")[2] for x in public_names() if x.startswith(f"{room.__name__.partition('.')[2]}.")}
-        assert {name for name in dir(room) if not name.startswith("_")} == extended | set(room.__all__)
+    rooms = {name: x for name in mbd.__all__ if isinstance(x := getattr(mbd, name), ModuleType)}
+    for name, room in rooms.items():
+        extended = {x.partition(".")[2] for x in public_names() if x.startswith(f"{name}.")}
+        assert {x for x in dir(room) if not x.startswith("_")} == extended | set(room.__all__), name
 
 
 def test_nothing_else_is():

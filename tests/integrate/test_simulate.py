@@ -317,13 +317,13 @@ def test_a_body_at_rest_on_long_arms_stays_there():
 
 
 @pytest.mark.thorough
-def test_a_motion_faster_than_light_has_failed():
+def test_a_motion_that_leaves_has_failed():
     """A damper of the wrong sign: 1e38 m with the status ok; a body at the speed of a satellite is a motion."""
     body = mbd.RigidBody("mass", 1.0, (0.01,) * 3, position=(1e-3, 0.0, 0.0))
     damper = mbd.AxialSpringDamper(mbd.Ground().at(), body.at(), axis="x", stiffness=1.0, damping=-1e3)
     system = mbd.System([body], [], [damper], free=["mass"])
     motion = mbd.simulate(system, 0.1, steps=100, gradients="none")
-    assert motion.status[0].startswith("failed: the motion is faster than light from t = 0.03")
+    assert motion.status[0].startswith("failed: from t = 0.03")
     assert not bool(torch.isfinite(motion.q[0, -1]).any())
     assert float(motion.q[0, 25, 0].abs()) < 3e8
     orbit = mbd.System(

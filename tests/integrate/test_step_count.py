@@ -13,6 +13,7 @@ from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.integrate.step_count import all_modes, first_steps, needed_steps
+from torchmbd.multibody.equations.sizes import Sizes
 from torchmbd.results.history import History
 
 pytestmark = pytest.mark.usefixtures("compiled")  # thousands of steps
@@ -102,7 +103,7 @@ def stats(turn: float, error: float, suggested: float) -> Statistics:
 )
 def test_steps_that_an_estimate_asks_for(found, status, wanted):
     nothing = torch.zeros(1, 0, 1, 1, dtype=torch.float64)
-    result = IntegrationResult(History(nothing, nothing, nothing, nothing), found)
+    result = IntegrationResult(History(nothing, nothing, nothing, nothing), found, Sizes(nothing, nothing, nothing))
     assert needed_steps(200, result, [status], {}) == wanted
     assert needed_steps(200, result, [status], {0: "it starts nowhere"}) == 200
 

@@ -27,6 +27,10 @@ from torchmbd.multibody.system import System
 __all__ = ["arm", "carbon", "pendulum", "slider_crank", "two_link_arm"]
 
 
+def __dir__() -> list[str]:
+    return [*__all__]
+
+
 def carbon() -> Ply:
     """A ply of carbon fibers in epoxy.
 

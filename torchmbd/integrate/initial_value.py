@@ -70,6 +70,7 @@ class InitialValueProblem:
         return IntegrationResult(
             history=run.history,
             statistics=statistics,
+            sizes=run.recorded.sizes,
             failed={lane: reason for lane, reason in enumerate(run.failures) if reason},
             contacts=contacts,
             doubts=run.doubts,

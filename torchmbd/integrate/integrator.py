@@ -28,6 +28,7 @@ from torchmbd.integrate.estimates import StepEstimates
 from torchmbd.integrate.smooth_start import SmoothStart
 from torchmbd.integrate.statistics import Statistics
 from torchmbd.multibody.equations.data import Data
+from torchmbd.multibody.equations.sizes import Sizes
 from torchmbd.multibody.equations.topology import Schedule, Topology
 from torchmbd.multibody.system.dynamics import Dynamics, SaddleSolver
 from torchmbd.results.history import History, Record
@@ -39,6 +40,7 @@ from torchmbd.results.state import State
 class IntegrationResult:
     """States and statistics of all lanes.
 
+    sizes      of the numbers of the history (equations/sizes.py)
     failed     lanes that were given up, with the reason; numbers count up to there only
     contacts   of lanes with contacts that the steps do not show, the first
     doubts     of lanes whose events the steps may have missed, the first
@@ -49,6 +51,7 @@ class IntegrationResult:
 
     history: History
     statistics: Statistics
+    sizes: Sizes
     failed: Mapping[int, str] = field(default_factory=dict)
     contacts: Mapping[int, UnresolvedContact] = field(default_factory=dict)
     doubts: Mapping[int, str] = field(default_factory=dict)

@@ -21,7 +21,7 @@ from torchmbd.integrate.initial_value import InitialValueProblem
 from torchmbd.integrate.integrator import IntegrationResult
 from torchmbd.integrate.statistics import ITERATION_ERROR, TURN, Statistics
 from torchmbd.multibody.equations import equations
-from torchmbd.multibody.equations.sizes import row_sizes
+from torchmbd.multibody.equations.sizes import Sizes, row_sizes
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, has_failed
@@ -34,22 +34,24 @@ IMPRECISE = 1e-3
 STEP_ERROR = 3.0
 # Of accelerations: vibrations with less than five steps to a period.
 ALTERNATION = 0.3
-# Beyond these mechanics of Newton does not hold, and rounding of positions is of the size of a machine.
-LIGHT = 3e8  # [m/s]; of angular and modal rates as well
-FAR = 1e13  # [m]
+# Times the size of the mechanism, by which no motion leaves it or would in its duration: rounding of positions is then a
+# thousandth of that size. A probe of 5 m that orbits the sun is 3e10 sizes away, and moves by 2e11 of them in a year.
+FAR = 1e13
 # Violation of a joint, as a share of the size of its row, at the end of a motion whose joints could not stay closed.
 _OPEN = 1e-4
 UNRESOLVED = "unresolved: "
 
 
 def status_of_lanes(
-    history: History, duration: float, statistics: Statistics, failed: Mapping[int, str] | None = None
+    history: History, duration: float, statistics: Statistics, sizes: Sizes, failed: Mapping[int, str] | None = None
 ) -> list[str]:
-    """The status of each lane by its numbers and by the statistics of its steps.
+    """The status of each lane by its numbers and by the statistics of its steps, whose valid times end where it leaves.
 
+    sizes    of coordinates and rates (sizes.py)
     failed   lanes that the integrator gave up, with the reason
     """
-    finite, possible, result = _finite(history), _possible(history), []
+    finite, possible, result = _finite(history), _possible(history, duration, sizes), []
+    statistics.limit_valid_times(possible)
     for lane in range(finite.shape[1]):
         gap = torch.nonzero(~finite[:, lane])
         if failed and lane in failed:
@@ -60,8 +62,8 @@ def status_of_lanes(
         elif len(gap := torch.nonzero(~possible[:, lane])):
             time = duration * int(gap[0]) / (len(history.q) - 1)
             result.append(
-                f"failed: the motion is faster than light from t = {time:.6g} s on, so it is probably numerically unstable. "
-                "Try: more steps, or a smaller load"
+                f"failed: from t = {time:.6g} s on, a body is {FAR:.0e} times the size of the mechanism away, or moves so far "
+                "in the duration. So the motion is probably numerically unstable. Try: more steps, or a smaller load"
             )
         else:
             result.append(_status_of_steps(statistics, lane))
@@ -73,10 +75,10 @@ def _finite(history: History) -> Tensor:
     return torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
 
 
-def _possible(history: History) -> Tensor:
-    """True if all velocities are below the speed of light, and no coordinate has left the solar system [times, lanes]."""
-    largest = [x[:, :, 0].abs().amax(1) for x in (history.q, history.v)]
-    return (largest[0] < FAR) & (largest[1] < LIGHT)
+def _possible(history: History, duration: float, sizes: Sizes) -> Tensor:
+    """True if no body is far beyond the size of the mechanism, or would be at its present rates [times, lanes]."""
+    far, speed = ((x[:, :, 0].abs() / s).amax(1) for x, s in ((history.q, sizes.q), (history.v, sizes.v)))
+    return (far < FAR) & (duration * speed < FAR)
 
 
 def _status_of_steps(statistics: Statistics, lane: int) -> str:
@@ -170,8 +172,7 @@ def validity(history: History, status: Sequence[str], statistics: Statistics) ->
     A tensor, and an output of `Motion`: torch.func.vmap takes it apart as it does the motion.
     """
     failed = torch.tensor([has_failed(x) for x in status])
-    sound = _finite(history) & _possible(history)
-    before = sound.int().cumprod(0).sum(0)  # times before the first that is not
+    before = _finite(history).int().cumprod(0).sum(0)  # times before the first that is not
     before = before.minimum(before if statistics.valid_times is None else statistics.valid_times).clamp_min(0)
     valid = torch.where(failed, before, len(history.q))
     return torch.stack([valid.double(), (~failed).double()])[:, None]

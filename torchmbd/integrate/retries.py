@@ -135,7 +135,7 @@ def integrate_lanes(
     """
     first = first or problem.integrate(integrator, steps)
     dynamics, duration, statistics, retry = problem.dynamics, problem.duration, first.statistics, integrator.retry()
-    status = status_of_lanes(first.history, duration, statistics, first.failed)
+    status = status_of_lanes(first.history, duration, statistics, first.sizes, first.failed)
     mark_open_joints(status, problem, first)
     for lane, reason in dynamics.start_errors.items():  # no initial state: no time has numbers
         status[lane] = f"failed: {reason}"

@@ -79,6 +79,12 @@ class Statistics:
         if self.valid_times is not None and other.valid_times is not None:
             self.valid_times[targets] = (other.valid_times[sources] + substeps - 1) // substeps
 
+    def limit_valid_times(self, possible: Tensor) -> None:
+        """End the valid times of each lane before the first time that is not possible [times, lanes]."""
+        before = possible.int().cumprod(0).sum(0)
+        if bool((before < len(possible)).any()):
+            self.valid_times = before if self.valid_times is None else self.valid_times.minimum(before)
+
     def note(self, name: str, lanes: Iterable[int]) -> None:
         """Add lanes to one of the lists."""
         setattr(self, name, sorted({*(getattr(self, name) or []), *lanes}))

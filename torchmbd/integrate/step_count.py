@@ -75,7 +75,7 @@ def choose_steps(
         check_memory(steps)
         result = problem.integrate(integrator, steps)
         # What was given up, as a phase that never ends, is with more steps as well.
-        status = status_of_lanes(result.history, duration, result.statistics)
+        status = status_of_lanes(result.history, duration, result.statistics, result.sizes)
         status = [OK if lane in result.failed else reason for lane, reason in enumerate(status)]
         needed = needed_steps(steps, result, status, dynamics.start_errors)
         late = _late(result, duration / steps)

@@ -39,6 +39,10 @@ def variable(x: float | Tensor) -> nn.Parameter:
     [('push.x', 2.0)]
     """
     value = x.detach() if isinstance(x, Tensor) else x
+    if (torch.is_tensor(value) and value.numel() > 1) or isinstance(value, (list, tuple)):
+        several = value.tolist() if torch.is_tensor(value) else [*value]
+        hint = f"torch.nn.Parameter(torch.tensor({several}, dtype=torch.float64)), for several numbers"
+        raise InputError("variable", value, "one finite number", hint, shown=f"{several}")
     return nn.Parameter(torch.tensor(scalar("variable", value, "one finite number"), dtype=torch.float64))
 
 

@@ -56,3 +56,7 @@ __all__ = [
     "sobol",
     "starts_at",
 ]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

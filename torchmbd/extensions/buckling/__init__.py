@@ -8,3 +8,7 @@ from torchmbd.extensions.buckling.buckling_factor import BucklingFactor
 from torchmbd.extensions.buckling.buckling_index import BucklingIndex
 
 __all__ = ["BucklingFactor", "BucklingIndex", "BucklingModes", "linear_buckling"]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

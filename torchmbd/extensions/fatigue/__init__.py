@@ -9,3 +9,7 @@ from torchmbd.extensions.fatigue.rainflow import rainflow
 from torchmbd.extensions.fatigue.sn_curve import SNCurve
 
 __all__ = ["Damage", "EquivalentLoad", "FatigueDamage", "SNCurve", "rainflow"]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

@@ -10,3 +10,7 @@ from torchmbd.extensions.fibers.measures import FiberCurvature, FiberDivergence
 from torchmbd.extensions.fibers.steered_laminate import SteeredLaminate
 
 __all__ = ["FiberCurvature", "FiberDivergence", "FiberField", "SteeredLaminate", "fiber_paths"]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

@@ -18,3 +18,7 @@ __all__ = [
     "Channel", "Experiment", "FrequencyResponseData", "Identification", "ModalData", "StaticCurve", "TimeSeries",
     "data_and_model", "identify",
 ]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

@@ -11,3 +11,7 @@ from torchmbd.extensions.lamination.rules import LaminationRules
 from torchmbd.extensions.lamination.stack_recovery import recover_stacks
 
 __all__ = ["LaminationParameters", "LaminationRegion", "LaminationRules", "recover_blended_stacks", "recover_stacks"]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

@@ -30,3 +30,7 @@ __all__ = [
     "frozen_poles",
     "linearize",
 ]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

@@ -22,3 +22,7 @@ __all__ = [
     "in_system",
     "rectangle",
 ]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

@@ -38,3 +38,7 @@ __all__ = [
     "modal_basis",
     "spectral_function",
 ]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

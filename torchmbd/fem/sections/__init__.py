@@ -31,3 +31,7 @@ __all__ = [
     "tube",
     "z_section",
 ]
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

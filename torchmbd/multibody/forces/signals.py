@@ -29,6 +29,15 @@ from torchmbd.multibody.joints.laws import finite
 from torchmbd.multibody.joints.prismatic import Prismatic
 from torchmbd.multibody.joints.revolute import Revolute
 
+__all__ = [
+    "ForceOn", "JointAngle", "JointForce", "JointRate", "JointSpeed", "JointTorque", "JointTravel", "PointPosition",
+    "PointVelocity", "Time",
+]  # fmt: skip
+
+
+def __dir__() -> list[str]:
+    return [*__all__]
+
 
 class Coordinate(NamedTuple):
     """A number of an input: s of an action, or its rate s'."""
