@@ -181,11 +181,25 @@ _MISSPELT = (
 )
 
 
+# Arguments that have the meaning of a word of other programs.
+_MEANINGS = {
+    **dict.fromkeys(
+        ("rotation", "rotate", "rotation_matrix", "orientation", "attitude", "quaternion"), ("axes", "turn")
+    ),
+    **dict.fromkeys(("origin", "location", "place", "translation"), ("position",)),
+    **dict.fromkeys(("cog", "center_of_mass", "com"), ("center",)),
+    **dict.fromkeys(("weight",), ("mass",)),
+    **dict.fromkeys(("rho",), ("density",)),
+    **dict.fromkeys(("k",), ("stiffness",)),
+    **dict.fromkeys(("c",), ("damping",)),
+}
+
+
 def nearest(name: object, allowed: Iterable[object]) -> str:
     """Return the hint for an unknown name: the one of those allowed that is nearest to it, "" if none is near."""
     if isinstance(name, str) and name == "device":
         return "no device, because torchmbd computes on the CPU alone"
-    close = _closest(str(name), [str(option) for option in allowed])
+    close = _meant(str(name), [str(option) for option in allowed])
     return repr(close) if close else ""
 
 
@@ -201,6 +215,21 @@ def must_be_one(name: object, allowed: Iterable[object], hint: str = "") -> str:
 
 def _remedies(name: object, allowed: Iterable[object], hint: str) -> str:
     return ", or ".join(x for x in (nearest(name, allowed), hint) if x)
+
+
+def _meant(name: str, options: list[str]) -> str | None:
+    """Return the option that a name means: by its meaning, else by its letters; None: none is near.
+
+    Options that begin with another letter must be as near as by one error: duration is not what rotation means.
+    """
+    if name.lower() not in options:
+        for meaning in _MEANINGS.get(name.lower(), ()):
+            if meaning in options:
+                return meaning
+    close = _closest(name, options)
+    if close is None or close[:1].lower() == name[:1].lower():
+        return close
+    return close if difflib.SequenceMatcher(None, name.lower(), close.lower()).ratio() >= _MISSPELT else None
 
 
 def _closest(name: str, options: list[str]) -> str | None:
@@ -395,8 +424,13 @@ class HintedKeywords:
 def _add_names(error: TypeError, function: Callable[..., Any], unknown: dict[str, Any]) -> None:
     """Add the argument whose name is nearest to each keyword that does not exist."""
     for key, value in unknown.items():
-        if name := _closest(key, list(argument_names(function))):
+        if name := meant_argument(key, function):
             error.add_note(f"Try: {name} = ... in place of {key} = {_brief(value)}.")
+
+
+def meant_argument(keyword: str, function: Callable[..., Any]) -> str | None:
+    """Return the argument of a function that a keyword means which is none of them; None: none is near."""
+    return _meant(keyword, list(argument_names(function)))
 
 
 def _brief(x: object, longest: int = 60) -> str:

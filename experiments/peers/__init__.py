@@ -15,7 +15,7 @@ Files of others, read unedited; a variable of the environment names the folder o
     wing_body              a Nastran model, against Simcenter Nastran and MYSTRAN; nastran_decks: all others; PYNASTRAN_MODELS
     iea_blade              windIO, against BeamDyn and ElastoDyn; IEA15_RWT
     windio_versions        windIO 1 and 2, and the tables beside them; IEA15_RWT, IEA22_RWT, and the package windIO
-    shell_decks            two large Nastran models, from file to Craig-Bampton body; TACS, CRM_WING
+    shell_decks            three large Nastran models, from file to Craig-Bampton body; TACS, CRM_WING, MYSTRAN
     pazy_wing              a Nastran model, against MSC Nastran; its equivalent beam, against measurements; AEPW3_LDWG
 Published numbers
     ivp_slider_crank       of the test set for IVP solvers: `python -m experiments.peers.ivp_slider_crank`

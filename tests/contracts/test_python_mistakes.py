@@ -18,7 +18,7 @@ import torchmbd as mbd
 from tests.refused import refused, warned
 from tests.study.rod_model import build
 from torchmbd.api import all_names
-from torchmbd.errors import InputError, keyword_hints, true_or_false
+from torchmbd.errors import InputError, argument_names, keyword_hints, meant_argument, true_or_false
 
 NUMBERS: dict[str, Any] = {
     **{"E1": 128e9, "E2": 10.1e9, "G12": 5.36e9, "G13": 5.36e9, "G23": 5.36e9},
@@ -287,6 +287,41 @@ MISSPELT = {
     "simulate": (lambda: any_.simulate(SYSTEM, duraton=0.1), "duraton", "duration"),
     "Problem": (lambda: any_.Problem(SYSTEM, duraton=0.1, minimize=mbd.Mass("rod")), "duraton", "duration"),
 }
+
+
+def errors_in(word: str) -> list[str]:
+    """The word with a letter too much, and without its last one; with two letters exchanged, and in capitals."""
+    return [f"{word}s", word[:-1], word[:2] + word[3] + word[2] + word[4:], word.capitalize()]
+
+
+# Arguments of one call that differ by a letter or number: either may be meant.
+ALIKE = {"axes", "axis", "alpha1", "alpha2", "beta1", "beta2", "shear_y", "shear_z", "nu12", "nu13", "nu23", "damping"}
+
+
+@pytest.mark.parametrize("name", public_calls())
+def test_hints_are_arguments_of_the_call(name):
+    """Every argument is found again from its misspelt names; what is far from all has no hint."""
+    call = public_calls()[name]
+    arguments = argument_names(call)
+    for argument in {x for x in arguments if len(x) > 4} - ALIKE:
+        for misspelt in set(errors_in(argument)) - set(arguments):
+            assert meant_argument(misspelt, call) == argument, misspelt
+    for keyword in {"rotation", "origin", "weight", "thickness", "orient", "turns"} - set(arguments):
+        hint = meant_argument(keyword, call)
+        assert hint is None or hint in arguments
+
+
+def test_a_hint_has_the_meaning_of_the_keyword():
+    """`rotation` of a beam had the hint `orientation`, the direction of the section; of a rigid body `position`."""
+    for call in (mbd.RigidBody, mbd.FlexibleBody.plate, mbd.FlexibleBody.beam, mbd.FlexibleBeam, mbd.Frame):
+        assert meant_argument("rotation", call) == "axes"
+    assert meant_argument("rotation", mbd.ExactBeam) is None
+    assert meant_argument("rotation", mbd.Drive) is None
+    assert meant_argument("weight", mbd.RigidBody) == "mass"
+    assert meant_argument("length_", mbd.Ply) is None  # it was `strength`
+    with refused("rotation", 1) as caught:
+        any_.simulate(SYSTEM, 0.1, rotation=1)  # an option of the method, if it were one
+    assert "duration'" not in caught.value.hint
 
 
 @pytest.mark.parametrize("name", MISSPELT)

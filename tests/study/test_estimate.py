@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
+from torchmbd.optimization import effort
 from torchmbd.simulation import Simulation
 from torchmbd.study.estimate import estimate, print_estimate
 from torchmbd.study.file.load import load_study
@@ -29,12 +30,13 @@ def test_simulations_are_counted(write):
         write(starts={"sampler": "sobol", "count": 70, "seed": 1}, simulate={"duration": 1e-3, "steps": 4})
     )
     cost = estimate(plan, plan.simulated)
-    assert (cost.simulations, cost.lanes) == (70 * 4, 64)  # 1.7 times two iterations, rounded up
-    assert cost.seconds == pytest.approx(4 * 2 * cost.batch_seconds + cost.once)
+    least, most = effort.simulations(plan.problem, "mmfd", 2, {})
+    assert (cost.simulations, cost.lanes) == ((70 * least, 70 * most), 64)
+    assert cost.seconds == pytest.approx([n * 2 * cost.batch_seconds + cost.once for n in (least, most)])
     assert cost.once > 0.0
     sweep = {"rod.laminate.angles[0]": {"from": 0, "to": 1, "count": 9}}
     plan = load_study(write(sweep=sweep, starts=None, optimizer=None, simulate={"duration": 1e-3, "steps": 4}))
-    assert estimate(plan, plan.simulated).simulations == 10  # with the start design
+    assert estimate(plan, plan.simulated).simulations == (10, 10)  # with the start design
 
 
 @pytest.mark.thorough
@@ -64,8 +66,8 @@ def test_the_cost_of_a_valid_file(write):
     print_estimate(load_study(write(simulate={"duration": 1e-3, "steps": 4})), Console(file=output, width=200))
     text = output.getvalue()
     assert "is valid: integral of strain energy of rod, 2 design variables, 1 constraint" in text
-    assert "at most about 8 simulations in batches of 2" in text
-    assert "of them once (loading, pictures, MLflow)" in text
+    assert "6 to 40 simulations, if no start ends early (limit: max_analyses), in batches of 2" in text
+    assert "of them once (loading, verification, pictures, MLflow)" in text
     assert f"gradients: {load_study(write()).simulated.gradients} mode, chosen by an estimate" in text
     assert "retained modes: make joints and forces" in text  # what these leave out (diagnosis/truncation.py)
 
@@ -92,7 +94,8 @@ def test_scenarios_of_several_systems_count(monkeypatch):
     monkeypatch.setattr(Simulation, "__call__", counted)
     monkeypatch.setattr("torchmbd.study.estimate.time", clock_of(clock))
     points = np.tile(problem.start, (2, 1))
-    study = SimpleNamespace(problem=problem, sweep=None, points=points, max_iterations=4)
+    study = SimpleNamespace(problem=problem, sweep=None, points=points, method="auto", max_iterations=4, options={})
     cost = estimate(study, problem)
-    assert (cost.simulations, cost.lanes) == (2 * 7 * 3, 2 * 3)
+    counts = effort.simulations(problem, "auto", 4, {})
+    assert (cost.simulations, cost.lanes) == (tuple(2 * n * 3 for n in counts), 2 * 3)
     assert cost.batch_seconds == pytest.approx(6.0)

@@ -1,6 +1,6 @@
 """Estimate of the cost of a study, from motions of its first designs: `torchmbd check`.
 
-    seconds = once + batches * seconds of a batch   once: loading and compiling code, pictures, MLflow
+    seconds = once + batches * seconds of a batch   once: loading and compiling code, the verification, pictures, MLflow
 
 One design is evaluated twice, which tells what is done once. Then a batch is evaluated, with its responses and gradients: the
 first of the study, or as many of its designs as there is time for.
@@ -8,7 +8,7 @@ first of the study, or as many of its designs as there is time for.
 The number of simulations depends on the kind of study:
 
     sweep         one for each point
-    optimization  1.7 for each iteration of each start, as in the shipped studies; no start ends early
+    optimization  from fewest to most of each start (optimization/effort.py); no start ends early
     front         as an optimization for each anchor, from each start and from the other anchors, and for each point
 
 Times are measured on this machine without other load; the memory is the peak of `check` itself.
@@ -21,6 +21,7 @@ import contextlib
 import math
 import resource
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +34,7 @@ from torchmbd.design.verification import advice
 from torchmbd.design.words import words
 from torchmbd.diagnosis.truncation import static_truncation
 from torchmbd.errors import MbdError
+from torchmbd.optimization import effort
 from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.optimization.pareto import group_sizes
 from torchmbd.progress import begin_stage, stages_told
@@ -44,9 +46,9 @@ from torchmbd.study.report.start_values import Value, print_start_values, start_
 from torchmbd.study.settings import StudySettings
 from torchmbd.summary import plural
 
-_PER_ITERATION = 1.7  # simulations: of the default method in 20 searches of `benchmark methods`
 _TRACKING = 6.0  # s: pictures are drawn, MLflow is loaded, its store opened, runs and files are written
 _PATIENCE = 60.0  # s for a batch, and for the errors of the start design
+_ONCE = {True: "loading, verification, pictures, MLflow", False: "loading, pictures, MLflow"}
 _FINER = 7.0  # motions of the steps of the problem that its errors take: the same, of half the steps and a quarter
 # Of RobustProblem.
 _TOLERANCE_WORDS = {
@@ -57,18 +59,19 @@ _TOLERANCE_WORDS = {
 
 @dataclass(frozen=True)
 class Estimate:
-    """Cost of a study on this machine: simulations at most, seconds of one batch and of all, peak memory [bytes].
+    """Cost of a study on this machine: simulations, seconds of one batch and of all, peak memory [bytes].
 
-    once       seconds that are spent once: first evaluation, pictures, tracking
+    simulations, seconds  the fewest and the most, if no start ends early
+    once       seconds that are spent once: first evaluation, verification, pictures, tracking
     design_seconds  of one design by itself
     gradients  mode of the gradients: "forward", "reverse", "none" of a sweep
     resolved   whether the steps resolve the responses of the start design; True where that is not known
     """
 
-    simulations: int
+    simulations: tuple[int, int]
     lanes: int
     batch_seconds: float
-    seconds: float
+    seconds: tuple[float, float]
     once: float
     design_seconds: float
     memory: float
@@ -87,19 +90,22 @@ def estimate(study: StudySettings, problem: Problem) -> Estimate:
         starts, groups = np.repeat(starts, around, axis=0), [around * size for size in groups]
     X = starts[:LANES, : len(problem.names)]
     mode = problem.gradients if study.sweep is None else "none"
-    each = math.ceil(_PER_ITERATION * study.max_iterations) if study.sweep is None else 1
+    each = (1, 1)
+    if study.sweep is None:
+        each = effort.simulations(study.problem, study.method, study.max_iterations, study.options)
     begin_stage("evaluating the start design")
     first = _seconds(problem, X[:1], mode)  # with what is done once per process
     alone = first if first > _PATIENCE else _seconds(problem, X[:1], mode)
     count = min(max(1, int(_PATIENCE / alone)) if alone else len(X), len(X))
     begin_stage(f"evaluating {plural(count, 'design')}, gradients: {mode}")
     batch = (alone if count == 1 else _seconds(problem, X[:count], mode)) * len(X) / count
-    batches = each * sum(math.ceil(size / LANES) for size in groups)
-    once = max(first - alone, 0.0) + _TRACKING
+    batches = sum(math.ceil(size / LANES) for size in groups)
+    once = max(first - alone, 0.0) + _TRACKING + (_FINER * alone if study.sweep is None else 0.0)
     memory = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return Estimate(
-        each * sum(groups) * cases, len(X) * cases, batch, batches * batch + once, once, alone, memory, mode
-    )
+    least, most = each
+    counts = least * sum(groups) * cases, most * sum(groups) * cases
+    seconds = least * batches * batch + once, most * batches * batch + once
+    return Estimate(counts, len(X) * cases, batch, seconds, once, alone, memory, mode)
 
 
 def _seconds(problem: Problem, X: np.ndarray, mode: str) -> float:
@@ -144,16 +150,16 @@ def print_estimate(study: StudySettings, console: Console) -> Estimate | None:
     with stages_told(Beginning(console).stage):
         _ = problem.steps  # chosen before costs are measured
         cost = estimate(study, problem)
-        values, reason = _values_with_errors(problem, cost, others + 1)
+        values, reason, statuses = _values_with_errors(problem, cost, others + 1)
     count = 0
     if evaluations_file().exists():
         with contextlib.closing(Evaluations(evaluations_file(), problem_key(problem))) as store:
             count = store.count()
     stored = f"; {count} evaluations of this problem are in the store already" if count else ""
     console.print(
-        f"at most about {cost.simulations} simulations in batches of {cost.lanes}, {_duration(cost.batch_seconds)} each: "
-        f"{_duration(cost.seconds)} in one process, {_duration(cost.once)} of them once (loading, pictures, MLflow), "
-        f"{cost.memory / 2**30:.1f} GiB{stored}"
+        f"{_simulations_text(study, cost)} in batches of {cost.lanes}, {_duration(cost.batch_seconds)} each: "
+        f"{_range(*map(_duration, cost.seconds))} in one process, {_duration(cost.once)} of them once "
+        f"({_ONCE[study.sweep is None]}), {cost.memory / 2**30:.1f} GiB{stored}"
         + "; not counted is the search of designs on the steps after that, which may take many times as long"
         * any(study.increments),
         markup=False,
@@ -163,32 +169,53 @@ def print_estimate(study: StudySettings, console: Console) -> Estimate | None:
     _print_assembly(problem, console)
     print_start_values(values, console)
     share = worst_share(values) if isinstance(values, list) else 0.0
-    if line := _steps_line(problem, share, reason):
+    if line := _steps_line(problem, share, reason, statuses):
         console.print(line, markup=False, soft_wrap=True)
     if cost.gradients != "none":
         console.print(f"gradients: {cost.gradients} mode, chosen by an estimate", markup=False, soft_wrap=True)
     return replace(cost, resolved=not math.isnan(share))
 
 
-def _values_with_errors(problem: Problem, cost: Estimate, criteria: int) -> tuple[list[Value] | str, str]:
-    """Return the responses of the start design with their errors, as far as there is time, and why there are none."""
+def _simulations_text(study: StudySettings, cost: Estimate) -> str:
+    """Return `60 to 160 simulations, if no start ends early, ...` and what limits them; `10 simulations` of a sweep."""
+    count = f"{_range(*map(str, cost.simulations))} simulations"
+    if study.sweep is not None:
+        return count
+    if study.options.get("max_analyses") is not None:
+        return f"at most {cost.simulations[1]} simulations (max_analyses)"
+    return f"{count}, if no start ends early (limit: max_analyses),"
+
+
+def _range(low: str, high: str) -> str:
+    return low if low == high else f"{low} to {high}"
+
+
+def _values_with_errors(problem: Problem, cost: Estimate, criteria: int) -> tuple[list[Value] | str, str, list[str]]:
+    """Return the responses of the start design with their errors, as far as there is time, why there are none, and why the
+    steps do not resolve responses.
+    """
     values, took = start_values(problem, criteria), _FINER * cost.design_seconds
     if isinstance(values, str):
-        return values, values
+        return values, values, []
     if took > _PATIENCE:
         return (
             values,
             f"its errors are not estimated, which takes {_duration(took)}. Try: problem.errors(...) in Python",
+            [],
         )
     begin_stage("simulating the start design with half the steps, and with more modes")
     try:
-        return start_values(problem, criteria, problem.errors(problem.start, mesh=False)), ""
+        errors = problem.errors(problem.start, mesh=False)
+        return start_values(problem, criteria, errors), "", [reason for error in errors for reason in error.reasons]
     except MbdError as error:
-        return values, f"its errors are not estimated: {error}"
+        return values, f"its errors are not estimated: {error}", []
 
 
-def _steps_line(problem: Problem, share: float, reason: str) -> str:
-    """Return how many steps a motion has, and what they are worth; `share`, `reason` as their two functions make them."""
+def _steps_line(problem: Problem, share: float, reason: str, statuses: Sequence[str] = ()) -> str:
+    """Return how many steps a motion has, and what they are worth.
+
+    share, reason, statuses   as `worst_share` and `_values_with_errors` return them
+    """
     how = "chosen for the start design" if problem.chooses_steps else "as given"
     text = f"steps: by the method; {reason}" if problem.steps is None else f"steps: {problem.steps}, {how}"
     if reason:
@@ -196,7 +223,7 @@ def _steps_line(problem: Problem, share: float, reason: str) -> str:
     if share <= LIMIT:
         return f"{text}; the largest error at the start design is {100.0 * share:.1g} %"
     accuracy = "do not resolve it" if math.isnan(share) else f"leave an error of {100.0 * share:.2g} %"
-    return f"warning: {text}, {accuracy}. Try: {advice(problem, share / LIMIT)}"
+    return f"warning: {text}, {accuracy}. Try: {advice(problem, share / LIMIT, statuses=statuses)}"
 
 
 def _over_scenarios(problem: Problem) -> str:

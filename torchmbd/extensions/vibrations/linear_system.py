@@ -114,6 +114,8 @@ def linearize(
     Controllers of the system stay closed. About a motion x are the increments of the coordinates and their rates:
     displacements in ground axes, rotations in axes of the moving body. x' = A(t) x holds along the motion for any coordinates,
     but the eigenvalues of A at one time depend on them, if their relation turns with the motion; `states` has their names.
+    Entries of A are sums of springs, in which soft ones lose digits: with a spring of 1e10 times its stiffness, a frequency
+    has an error of 1e-6, which frequencies and poles of an equilibrium do not have.
     Raises InputError for another kind of state, for a motion in phases, and for inputs and outputs whose direction rotates
     for the observer of a steady rotation: directions of the ground perpendicular to the axis need observer="ground".
     SimulationFailure for a lane that failed.

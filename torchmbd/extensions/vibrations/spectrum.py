@@ -114,7 +114,8 @@ class Spectrum:
     def poles(cls, rest: Linearization) -> Spectrum:
         """Poles in rising order of the size of their imaginary part, then of the real one; pairs -, +."""
         rest.factored_inertia()
-        s, R, L = _state_vectors(rest.inertia, rest.reduced(rest.C), rest.stiffness)
+        rest = rest.in_vibrations
+        s, R, L = _state_vectors(rest.inertia, rest.damping, rest.stiffness)
         free = _free(rest, s, R)
         s = torch.where(free, 0.0, s)
         order = sorted(range(len(s)), key=lambda i: (abs(s[i].imag.item()), s[i].real.item(), s[i].imag.item()))
@@ -127,7 +128,7 @@ def _free(rest: Linearization, s: Tensor, Y: Tensor) -> Tensor:
     stiffness does work on them."""
     inertia, stiffness = ((Y.conj() * (X.to(Y.dtype) @ Y)).sum(0).real for X in (rest.inertia, rest.stiffness))
     squares = stiffness / inertia
-    small = rounding_of_squares(rest, _full(rest, Y).abs() / inertia.sqrt(), squares)
+    small = rounding_of_squares(rest, Y / inertia.sqrt(), squares)
     return (s.abs().square() <= small) & (squares.abs() <= small)
 
 

@@ -115,7 +115,11 @@ def elements(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None = None) -
 
 def resistance(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None) -> tuple[Any, Any]:
     """Forces [3, bodies] in ground axes and torques [3, bodies] in body axes with which the elements resist their strains."""
-    e = elements(T, data, at, rates)
+    return on_bodies(T, elements(T, data, at, rates))
+
+
+def on_bodies(T: Any, e: Elements) -> tuple[Any, Any]:
+    """The forces of elements as `resistance` has them."""
     forces, torques = [], []
     for k, w in enumerate(wrenches(e.screw, e.force)):
         force = matvec(e.turn[k], w[:3])

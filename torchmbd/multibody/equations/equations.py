@@ -321,10 +321,11 @@ def constraint_forces(T: Topology, data: Data, at: Placement, lam):
     return generalized_forces(T, data, at, force_on_vectors(T, at, lam))
 
 
-def applied_on_vectors(T: Topology, data: Data, at: Placement, v):
-    """What the actions do to the attached vectors [3, vectors, ...], in ground axes."""
+def applied_on_vectors(T: Topology, data: Data, at: Placement, v, held: bool = False):
+    """What the actions do to the attached vectors [3, vectors, ...], in ground axes; held: by strengths without tangents."""
     states, forces = action_states(T, data, at, v), []
     for f, (_, _, direction) in zip(strengths(T, data, states, at.t), states, strict=True):
+        f = value(f) if held else f
         forces += [f * d for d in direction]
     return T.action_sum(*forces)  # pyright: ignore[reportOptionalCall]
 
@@ -364,23 +365,43 @@ def generalized_forces(T: Topology, data: Data, at: Placement, force):
 
 def dynamic_residual(T: Topology, data: Data, at: Placement, v, a, lam):
     """M a + s + K q + Phi_q' lam - g  [n_v, ...]: zero along a motion; eq. (5)."""
-    forces = inertia_forces(T, data, at, v, a)
-    pulls = total_on_vectors(T, data, at, v, lam)
+    forces, pulls = inertia_forces(T, data, at, v, a), total_on_vectors(T, data, at, v, lam)
+    resistance = None if T.beams is None else beams.resistance(T, data, at, beam_rates(T, data, at, v))
+    return _gathered(T, data, at, forces, pulls, resistance)
+
+
+def geometric_residual(T: Topology, data: Data, at: Placement, v, a, lam):
+    """`dynamic_residual` of springs, laws and beams that keep their forces, and of bodies without elastic ones [n_v, ...].
+
+    Its derivative by the coordinates is the geometric stiffness: of weight, pretension and constraint forces.
+    """
+    forces = inertia_forces(T, _without_elasticity(data, "K2"), at, v, a)
+    resistance = None
+    if T.beams is not None:
+        e = beams.elements(T, data, at)
+        resistance = beams.on_bodies(T, e._replace(force=value(e.force)))
+    return _gathered(T, data, at, forces, total_on_vectors(T, data, at, v, lam, held=True), resistance)
+
+
+def _gathered(T: Topology, data: Data, at: Placement, forces, pulls, resistance) -> Any:
+    """The sum [n_v, ...] of forces on bodies, of those on attached vectors and of the resistance of beams."""
     if pulls is not None:
         forces = [x + y for x, y in zip(forces, generalized_forces(T, data, at, pulls), strict=True)]
-    if T.beams is not None:
-        force, torque = beams.resistance(T, data, at, beam_rates(T, data, at, v))
-        forces = [forces[0] + force, forces[1] + torque, forces[2]]
+    if resistance is not None:
+        forces = [forces[0] + resistance[0], forces[1] + resistance[1], forces[2]]
     force = cat([x.flatten(0, 1) for x in forces])
     return force if T.gather is None else T.gather(force)
 
 
+def _without_elasticity(data: Data, *names: str) -> dict[str, Any]:
+    """Data of bodies without elastic forces, and without those of these names."""
+    data = {name: x for name, x in data.items() if name not in names}
+    return data | {"Kr": 0.0 * data["Kr"]} if "Kr" in data else data
+
+
 def impulses(T: Topology, data: Data, at: Placement, dv, Lam):
     """M dv + Phi_q' Lambda [n_v, ...] of changes dv of the velocities and impulses Lambda of the constraints."""
-    masses = {name: x for name, x in data.items() if name not in ("gravity", "K2", "D")}
-    if T.flexible:
-        masses["Kr"] = 0.0 * data["Kr"]
-    forces = inertia_forces(T, masses, at, 0.0 * dv, dv)
+    forces = inertia_forces(T, _without_elasticity(data, "gravity", "K2", "D"), at, 0.0 * dv, dv)
     if T.rows:
         forces = [x + y for x, y in zip(forces, constraint_forces(T, data, at, Lam), strict=True)]
     force = cat([x.flatten(0, 1) for x in forces])
@@ -393,12 +414,13 @@ def along_constraints(T: Topology, data: Data, at: Placement, z, y0, r):
     return cat([impulses(T, data, at, y, mu), constraint_changes(T, at, data, y - y0) - r])
 
 
-def total_on_vectors(T: Topology, data: Data, at: Placement, v, lam):
-    """Phi_q' lam - g on the attached vectors [3, vectors, ...]; None without any. Without rates v, of the joints alone."""
+def total_on_vectors(T: Topology, data: Data, at: Placement, v, lam, held: bool = False):
+    """Phi_q' lam - g on the attached vectors [3, vectors, ...]; None without any. Without rates v, of the joints alone; held:
+    as in `applied_on_vectors`."""
     pulls = force_on_vectors(T, at, lam) if T.rows else None
     if not T.actions or v is None:
         return pulls
-    applied = applied_on_vectors(T, data, at, v)
+    applied = applied_on_vectors(T, data, at, v, held)
     return -applied if pulls is None else pulls - applied
 
 

@@ -8,14 +8,15 @@ multipliers, so they include weight, pretension and all other forces. lam: least
 of the accelerations of a motion that starts from rest (`released`).
 Who measures x is an observer (steady_rotation.py). To one who turns with a steady rotation K has centrifugal forces, C those of
 Coriolis.
-Checked in tests/multibody/equilibrium/test_equilibrium.py: pendulums in closed form, a swinging beam.
+Checked in tests/multibody/equilibrium/test_equilibrium.py: pendulums in closed form, a swinging beam; soft springs beside stiff
+ones in test_stiff_series.py.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -29,6 +30,7 @@ from torchmbd.fem.reduction.padding import is_padding
 from torchmbd.math.module_call import outside_transforms
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equations.coupling import Coupling
 from torchmbd.multibody.equations.data import Data
 from torchmbd.multibody.equations.topology import Prescribed, Topology
 from torchmbd.multibody.equilibrium.coordinate_scale import coordinate_scale
@@ -37,6 +39,8 @@ from torchmbd.multibody.saddle.rank import RELATIVE
 
 # A freedom has no stiffness below these shares: of the terms that cancel in it; for each freedom, of the largest eigenvalue.
 _CANCELS, _EIGEN = 1e-10, 1e-15
+_SOFT = 1e-7  # share of the largest square of an angular frequency below which its rounding shows: soft springs
+_WORKS = 1e-12  # of the works of the forces of a soft vibration, whose sum is its stiffness: their rounding
 _BESIDE = 1e-2  # of the largest stiffness of a body, in terms of each of its freedoms: rounding of what cancels in it
 _ZERO_MASS = 1e-9  # share of the largest eigenvalue of the inertia
 NEGATIVE_MASS = "bodies bend until their modes have a negative mass"
@@ -58,6 +62,11 @@ class Linearization:
     along                      C by "rates", M by "accelerations"
     body [active]              number of the body to which a coordinate belongs
     rotates                    whether the state rotates steadily
+    coupling                   of the topology, for matrices out of products
+    product                    K X by "increments", C X by "rates", and "geometric" stiffness times X [n_v, k], without the
+                               matrices, in which a soft spring may be lost beside a stiff one; None: not known
+    graded                     squares of angular frequencies [freedoms] and K N [n_v, freedoms] where N is the basis of
+                               `in_vibrations`
     """
 
     forces: Tensor
@@ -71,6 +80,9 @@ class Linearization:
     along: Callable[[str], Tensor]
     body: Tensor
     rotates: bool = False
+    coupling: Coupling | None = None
+    product: Callable[[str, Tensor], Tensor] | None = None
+    graded: tuple[Tensor, Tensor] | None = None
 
     @cached_property
     def C(self) -> Tensor:
@@ -168,13 +180,34 @@ class Linearization:
         def of_lane(lane: int) -> Callable[[str], Tensor]:
             return lambda directions: along(directions)[lane]
 
+        def product_of(lane: int) -> Callable[[str, Tensor], Tensor] | None:
+            if offset is not None or unstrained is not None or not isinstance(observer, ObserverAtRest):
+                return None
+            one = {name: x[..., lane : lane + 1] if x.shape[-1] > 1 else x for name, x in data.items()}
+            place, forces = q[..., lane : lane + 1], lam[:, None, lane : lane + 1]
+
+            def product(directions: str, X: Tensor) -> Tensor:
+                zero = place.new_zeros(T.n_v, 1, 1)
+                along, fixed = Pair.of(zero, X[..., None]), Pair.of(zero, torch.zeros_like(X)[..., None])
+                x, xd = (fixed, along) if directions == "rates" else (along, fixed)
+                at = equations.placement(
+                    T, one, equations.advance(T, place, x), excitation or T.prescribed(t, one).values()
+                )
+                total = equations.geometric_residual if directions == "geometric" else equations.dynamic_residual
+                return total(T, one, at, xd, fixed, forces).tangent[..., 0]
+
+            return product
+
         spin = observer.spin if isinstance(observer, SteadyRotation) else still[:3]
         rotates = spin.expand(-1, -1, lanes).any(0)[0]
         n = torch.arange(T.bodies)
         body = torch.cat([n.repeat(6), n[: T.flexible].repeat(T.modes)])
         parts = zip(forces.unbind(-1), phi.unbind(-1), stiffness, Phi_q, lam.unbind(-1), active, scale, strict=True)
         return [
-            cls(f, p, coupling.matrix(K), J, x, a, s, null_space(J[:, a], s[a]), of_lane(i), body[a], bool(rotates[i]))
+            cls(
+                *(f, p, coupling.matrix(K), J, x, a, s, null_space(J[:, a], s[a])),
+                *(of_lane(i), body[a], bool(rotates[i]), coupling, product_of(i)),
+            )
             for i, (f, p, K, J, x, a, s) in enumerate(parts)
         ]
 
@@ -248,6 +281,11 @@ class Linearization:
         return of_body.scatter_reduce(0, self.body, works, "amax")[self.body]
 
     @property
+    def damping(self) -> Tensor:
+        """N' C N."""
+        return self.reduced(self.C) if self.graded is None else self.N.T @ self._times("rates", self.N)[self.active]
+
+    @property
     def inertia(self) -> Tensor:
         """N' M N, symmetric."""
         M = self.reduced(self.M)
@@ -262,9 +300,62 @@ class Linearization:
         """L with L L' = N' M N; DesignFailure if vibrations do not exist."""
         return factored_inertia(self.inertia)
 
+    @cached_property
+    def in_vibrations(self) -> Linearization:
+        """The same where N has the vibrations of a conservative system at rest, of unit modal mass, if some are so soft that
+        rounding of stiff springs shows in N' K N; else as it is.
+
+        K of two springs in series has the sum of their stiffnesses, in which the soft one may be lost. Forces along a vibration
+        have it: there the stiff spring hardly gets longer. Soft vibrations are a system by themselves, with softer ones in it.
+        """
+        if self.product is None or self.rotates or self.nonconservative or not self.N.shape[1]:
+            return self
+        inverse, K = torch.linalg.inv(self.factored_inertia()), self.reduced(self.K)
+        squares, Y = torch.linalg.eigh(inverse @ (0.5 * (K + K.T)) @ inverse.T)
+        X = self.N @ inverse.T @ Y
+        forces, parts = self.K[:, self.active] @ X, []
+        while True:
+            soft = squares.abs() <= _SOFT * squares.abs().amax(0, keepdim=True)
+            soft &= ~soft.all()
+            parts.append([x[..., ~soft] for x in (squares, X, forces)])
+            if not bool(soft.any()):
+                break
+            stiff_squares, stiff = (torch.cat([part[i] for part in parts], -1) for i in (0, 1))
+            X, forces = X[:, soft], forces[:, soft]
+            for _ in range(2):  # the second time forces know what the first correction left
+                X = X - stiff @ (stiff.T @ forces[self.active] / stiff_squares[:, None])
+                forces = self._symmetric_times(X)
+            S = X.T @ forces[self.active]
+            squares, Y = torch.linalg.eigh(0.5 * (S + S.T))
+            X, forces = X @ Y, forces @ Y
+        if len(parts) == 1:
+            return self
+        squares, N, forces = (torch.cat(x, -1) for x in zip(*parts, strict=True))
+        order = squares.argsort()
+        return replace(self, N=N[:, order], graded=(squares[order], forces[:, order]))
+
+    def _times(self, directions: str, X: Tensor) -> Tensor:
+        """`product` of X [active, k]."""
+        assert self.product is not None
+        return self.product(directions, X.new_zeros(len(self.forces), X.shape[1]).index_copy(0, self.active, X))
+
+    def _symmetric_times(self, X: Tensor) -> Tensor:
+        """The symmetric part of K times X [active, k]: unbalanced torques make K unsymmetric, by its geometric part alone."""
+        G = self.geometric_stiffness
+        return self._times("increments", X) - 0.5 * (G - G.T)[:, self.active] @ X
+
+    @cached_property
+    def geometric_stiffness(self) -> Tensor:
+        """Of weight, pretension and constraint forces [n_v, n_v], where `product` is known."""
+        assert self.product is not None
+        assert self.coupling is not None
+        return self.coupling.matrix(self.product("geometric", self.coupling.directions))
+
     @property
     def stiffness(self) -> Tensor:
         """N' K N; symmetric but for forces without a potential, and dampers at rest, which push what turns sideways."""
+        if self.graded is not None:
+            return torch.diag(self.graded[0])
         K = self.reduced(self.K)
         return K if self.rotates or self.nonconservative else 0.5 * (K + K.T)
 
@@ -336,7 +427,8 @@ class Vibrations:
 
     @cached_property
     def poles(self) -> Tensor:
-        return _poles(self.rest.inertia, self.rest.reduced(self.rest.C), self.rest.stiffness)
+        rest = self.rest.in_vibrations
+        return _poles(rest.inertia, rest.damping, rest.stiffness)
 
     @cached_property
     def grow(self) -> bool:
@@ -350,19 +442,23 @@ class Vibrations:
     @classmethod
     def of(cls, rest: Linearization) -> Vibrations:
         """Solve the eigenvalue problem in the null space. InputError if the inertia is not positive definite."""
-        M, K_full = rest.inertia, rest.reduced(rest.K)
-        K = 0.5 * (K_full + K_full.T)
-        inverse = torch.linalg.inv(rest.factored_inertia())
-        flutters = rest.nonconservative and not rest.rotates
-        squares, Y = _flutter(inverse @ K_full @ inverse.T) if flutters else torch.linalg.eigh(inverse @ K @ inverse.T)
+        graded = rest.in_vibrations
+        if graded.graded is not None:
+            squares, Y = graded.graded[0], torch.eye(graded.N.shape[1], dtype=graded.N.dtype)
+        else:
+            K = rest.reduced(rest.K)
+            inverse = torch.linalg.inv(rest.factored_inertia())
+            flutters = rest.nonconservative and not rest.rotates
+            K = inverse @ (K if flutters else 0.5 * (K + K.T)) @ inverse.T
+            squares, Y = _flutter(K) if flutters else torch.linalg.eigh(K)
+            Y = inverse.T @ Y
         n = len(squares)
-        shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
-        shapes[rest.active] = rest.N @ (inverse.T @ Y)
-        squares = torch.where(squares.abs() <= rounding_of_squares(rest, shapes, squares), 0.0, squares)
+        squares = torch.where(squares.abs() <= rounding_of_squares(graded, Y, squares), 0.0, squares)
+        shapes = Y.new_zeros(len(rest.forces), n).index_copy(0, rest.active, graded.N @ Y)
         if not rest.rotates or not n:
             return cls(squares.sqrt() / (2.0 * math.pi), shapes, rest)
-        C = rest.reduced(rest.C)
-        w, _ = whirl(_poles(M, 0.5 * (C - C.T), K))
+        C, K = rest.reduced(rest.C), rest.reduced(rest.K)
+        w, _ = whirl(_poles(rest.inertia, 0.5 * (C - C.T), 0.5 * (K + K.T)))
         return cls(w / (2.0 * math.pi), shapes, rest)
 
 
@@ -394,15 +490,25 @@ def _poles(M: Tensor, C: Tensor, K: Tensor) -> Tensor:
     return torch.linalg.eigvals(A)
 
 
-def rounding_of_squares(rest: Linearization, shapes: Tensor, squares: Tensor) -> Tensor:
-    """Squares of angular frequencies [freedoms] that count as zero: rounding of energies that cancel, and of eigenvalues.
+def rounding_of_squares(rest: Linearization, Y: Tensor, squares: Tensor) -> Tensor:
+    """Squares of angular frequencies [k] of vibrations N Y [freedoms, k] of unit modal mass that count as zero: rounding of
+    energies that cancel, and of eigenvalues.
 
-    A share of the largest square alone would make a heavy part on a light stiff shaft a free one.
+    A share of the largest square alone would make a heavy part on a light stiff shaft a free one. Of soft vibrations
+    (`in_vibrations`) it is the square of the rounding of vectors that counts.
     """
     if not len(squares):
         return squares
-    terms = (shapes.abs() * (rest.K.abs() @ shapes.abs())).sum(0)
-    return _CANCELS * terms + _EIGEN * len(squares) * squares.abs().nan_to_num().amax()
+    largest, eigen = squares.abs().nan_to_num().amax(), _EIGEN * len(squares)
+    shapes = (rest.N.to(Y.dtype) @ Y).abs()
+
+    def works(K: Tensor) -> Tensor:
+        return (shapes * (K[rest.active][:, rest.active].abs() @ shapes)).sum(0)
+
+    if rest.graded is not None:
+        forces = (rest.graded[1].to(Y.dtype) @ Y)[rest.active].abs()
+        return _CANCELS * works(rest.geometric_stiffness) + _WORKS * (shapes * forces).sum(0) + eigen**2 * largest
+    return _CANCELS * works(rest.K) + eigen * largest
 
 
 def _flutter(A: Tensor) -> tuple[Tensor, Tensor]:
