@@ -18,7 +18,7 @@ Checked in tests/design/test_verification.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -31,7 +31,6 @@ from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.words import unit, words
 from torchmbd.diagnosis.load_shares import notes_of_loads
 from torchmbd.diagnosis.response_error import SMALL
-from torchmbd.diagnosis.stated_steps import stated_steps
 from torchmbd.errors import InputError, MbdError, warnings_once
 from torchmbd.integrate.ode import ADAPTIVE
 from torchmbd.optimization import MultistartResult, OptimizationResult, Processes, RobustProblem
@@ -86,14 +85,8 @@ def verify(result: OptimizationResult | MultistartResult) -> Verification:
     if not isinstance(nominal(problem), Problem):
         raise InputError("problem", problem, "a Problem, Scenarios or RobustProblem", noun="problem of the result")
     return replace(
-        verification(
-            problem,
-            best.x,  # type: ignore[union-attr]
-            best.value,  # type: ignore[union-attr]
-            others,
-            feasibility=feasibility,
-            search=result.search_text,
-        ),
+        verification(problem, best.x, best.value, others, feasibility=feasibility),  # type: ignore[union-attr]
+        search=result.search_text,
         failing=result.failing_text,
     )
 
@@ -121,13 +114,11 @@ def verification(
     others: Sequence[OptimizationResult] = (),
     start: np.ndarray | None = None,
     feasibility: float = FEASIBILITY,
-    search: str = "",
 ) -> Verification:
     """The verification of a best design x [n] of a problem against the design `start` [n], by default that of the problem.
 
     value   of its objective, as minimized
     others  ends of other starts, in the order of their values
-    search  how the search ended, with the commonest reason of failed evaluations, whose advice counts here too
     A problem whose designs cannot be simulated with finer steps is not verified: no exception.
     """
     robust, simulated = nominal(problem) is not problem, nominal(problem)
@@ -146,9 +137,7 @@ def verification(
         faults += [] if robust else _faults_of_order(simulated, responses, value, others)
     except MbdError as error:
         where = "see the how-to page on errors of responses"
-        return Verification(
-            (), math.nan, math.nan, (str(error),), where, tuple(load_notes(simulated, x)), search=search
-        )
+        return Verification((), math.nan, math.nan, (str(error),), where, tuple(load_notes(simulated, x)))
     notes = _notes_of_errors(responses)
     notes += dict.fromkeys(text for response in responses for text in response.error.unknown)
     notes += load_notes(simulated, x)
@@ -156,13 +145,12 @@ def verification(
         text = "the change of the objective is that of its {} over the tolerances, with the errors of the nominal design; {}"
         notes.append(text.format(_RULES[problem.kind], "the other values and errors are those of the nominal design"))
     changes = [100.0 * (f[1] - f[0]) / abs(f[0]) if f[0] else 0.0 for f in (gained.value, gained.finer)]
-    todo, texts = "", [fault.text for fault in faults]
+    todo = ""
     if faults:
         causes = set().union(*({"steps"} if fault.unresolved else fault.response.causes for fault in faults))
-        need = max(fault.need for fault in faults)
-        todo = f"{advice(simulated, need, causes, [search, *texts])}, then the search again"
+        todo = f"{advice(simulated, max(fault.need for fault in faults), causes)}, then the search again"
     answers = tuple(response.answer for response in responses)
-    return Verification(answers, changes[0], changes[1], tuple(texts), todo, tuple(notes), search=search)
+    return Verification(answers, changes[0], changes[1], tuple(fault.text for fault in faults), todo, tuple(notes))
 
 
 def load_notes(problem: Problem, x: np.ndarray) -> list[str]:
@@ -443,23 +431,17 @@ def _faults_of_order(
 _MORE = {"modes": "more modes of the flexible bodies", "mesh": "finer meshes of the flexible bodies"}
 
 
-def advice(problem: Problem, need: float, causes: Collection[str] = (), statuses: Iterable[str] = ()) -> str:
+def advice(problem: Problem, need: float, causes: Collection[str] = ()) -> str:
     """What to do where errors must fall by the factor `need`, inf: nobody knows.
 
-    causes    of the largest errors: "steps", "modes", "mesh"
-    statuses  of motions of the problem, or texts with them: where they advise more steps than this, their number counts
+    causes   of the largest errors: "steps", "modes", "mesh"
     """
-    stated = stated_steps(statuses) or 0
     more = [text for cause, text in _MORE.items() if cause in causes]
-    if more and "steps" not in causes and stated <= (problem.steps or math.inf):
-        return " and ".join(more)
-    return " and ".join([*more, _advice_on_steps(problem, need, stated)])
-
-
-def _advice_on_steps(problem: Problem, need: float, stated: int) -> str:
+    if more:
+        return " and ".join([*more, advice(problem, need)] if "steps" in causes else more)
     steps = problem.steps
     if steps is None or problem.simulation.method in ADAPTIVE:
         return "tighter tolerances of the method (rtol, atol)"
     more = math.sqrt(max(need, 4.0) if math.isfinite(need) else _UNRESOLVED) * steps
     digit = 10 ** max(len(str(int(more))) - 2, 0)
-    return f"steps: {max(math.ceil(more / digit) * digit, stated)} or more"
+    return f"steps: {math.ceil(more / digit) * digit} or more"

@@ -21,7 +21,6 @@ import contextlib
 import math
 import resource
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -150,7 +149,7 @@ def print_estimate(study: StudySettings, console: Console) -> Estimate | None:
     with stages_told(Beginning(console).stage):
         _ = problem.steps  # chosen before costs are measured
         cost = estimate(study, problem)
-        values, reason, statuses = _values_with_errors(problem, cost, others + 1)
+        values, reason = _values_with_errors(problem, cost, others + 1)
     count = 0
     if evaluations_file().exists():
         with contextlib.closing(Evaluations(evaluations_file(), problem_key(problem))) as store:
@@ -169,7 +168,7 @@ def print_estimate(study: StudySettings, console: Console) -> Estimate | None:
     _print_assembly(problem, console)
     print_start_values(values, console)
     share = worst_share(values) if isinstance(values, list) else 0.0
-    if line := _steps_line(problem, share, reason, statuses):
+    if line := _steps_line(problem, share, reason):
         console.print(line, markup=False, soft_wrap=True)
     if cost.gradients != "none":
         console.print(f"gradients: {cost.gradients} mode, chosen by an estimate", markup=False, soft_wrap=True)
@@ -190,32 +189,25 @@ def _range(low: str, high: str) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _values_with_errors(problem: Problem, cost: Estimate, criteria: int) -> tuple[list[Value] | str, str, list[str]]:
-    """Return the responses of the start design with their errors, as far as there is time, why there are none, and why the
-    steps do not resolve responses.
-    """
+def _values_with_errors(problem: Problem, cost: Estimate, criteria: int) -> tuple[list[Value] | str, str]:
+    """Return the responses of the start design with their errors, as far as there is time, and why there are none."""
     values, took = start_values(problem, criteria), _FINER * cost.design_seconds
     if isinstance(values, str):
-        return values, values, []
+        return values, values
     if took > _PATIENCE:
         return (
             values,
             f"its errors are not estimated, which takes {_duration(took)}. Try: problem.errors(...) in Python",
-            [],
         )
     begin_stage("simulating the start design with half the steps, and with more modes")
     try:
-        errors = problem.errors(problem.start, mesh=False)
-        return start_values(problem, criteria, errors), "", [reason for error in errors for reason in error.reasons]
+        return start_values(problem, criteria, problem.errors(problem.start, mesh=False)), ""
     except MbdError as error:
-        return values, f"its errors are not estimated: {error}", []
+        return values, f"its errors are not estimated: {error}"
 
 
-def _steps_line(problem: Problem, share: float, reason: str, statuses: Sequence[str] = ()) -> str:
-    """Return how many steps a motion has, and what they are worth.
-
-    share, reason, statuses   as `worst_share` and `_values_with_errors` return them
-    """
+def _steps_line(problem: Problem, share: float, reason: str) -> str:
+    """Return how many steps a motion has, and what they are worth; `share`, `reason` as their two functions make them."""
     how = "chosen for the start design" if problem.chooses_steps else "as given"
     text = f"steps: by the method; {reason}" if problem.steps is None else f"steps: {problem.steps}, {how}"
     if reason:
@@ -223,7 +215,7 @@ def _steps_line(problem: Problem, share: float, reason: str, statuses: Sequence[
     if share <= LIMIT:
         return f"{text}; the largest error at the start design is {100.0 * share:.1g} %"
     accuracy = "do not resolve it" if math.isnan(share) else f"leave an error of {100.0 * share:.2g} %"
-    return f"warning: {text}, {accuracy}. Try: {advice(problem, share / LIMIT, statuses=statuses)}"
+    return f"warning: {text}, {accuracy}. Try: {advice(problem, share / LIMIT)}"
 
 
 def _over_scenarios(problem: Problem) -> str:

@@ -34,9 +34,8 @@ def verify_best(
     begin_stage("verifying start and best design with half the steps, more modes and finer meshes")
     others = other_ends(outcome) if is_among else []
     problem = study.problem if outcome.best is None else evaluated_problem(outcome.best.problem)
-    search = outcome.search_text
-    result = verification(problem, best.x, best.value, others, study.points[0], study.feasibility, search)
-    result = replace(result, failing=outcome.failing_text)
+    result = verification(problem, best.x, best.value, others, study.points[0], study.feasibility)
+    result = replace(result, search=outcome.search_text, failing=outcome.failing_text)
     journal.verified(result)
     print_answers(result, console)
     return result
