@@ -68,7 +68,20 @@ class EagerStepper(Stepper):
         for i, prescribed in enumerate(schedule):
             x = self._step(first + i, x, prescribed)
             record.put(start + i, x)
+            if not self._goes_on(x):
+                self._end(x, record, range(start + i + 1, start + len(schedule)))
+                break
         return x
+
+    def _goes_on(self, x: State) -> bool:
+        """True if a lane that counts has finite rates: others are nan for good."""
+        return bool((self.counts & torch.isfinite(value(x.v)[:, 0].sum(0))).any())
+
+    def _end(self, x: State, record: Record, numbers: range) -> None:
+        """Note states and corrections of further steps that are not made, because no lane has finite numbers."""
+        for k in numbers:
+            record.put(k, x)
+        self.sizes.append(torch.full((len(numbers), 3, self.dynamics.lanes), torch.nan, dtype=torch.float64))
 
     def pullback(self, before: State, after: State, prescribed: Prescribed, y: State) -> PulledBack:
         """Cotangents of all that a step depends on, from those y of the state after it; leaves are the model's data."""
