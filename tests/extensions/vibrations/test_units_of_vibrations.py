@@ -11,7 +11,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
-from tests.physics.test_units_of_systems import THOROUGH, WORLDS, Facts, World, check, mechanism
+from tests.physics.test_units_of_systems import ANGLES, SPRING, THOROUGH, WORLDS, Facts, World, check, mechanism
 
 pytestmark = [pytest.mark.filterwarnings("ignore::UserWarning")]  # of unusual units and of what the model leaves out
 
@@ -105,3 +105,26 @@ def test_vibrations_are_the_same_in_any_world(name: str, world: str) -> None:
 def test_a_turning_disk_whirls_both_ways() -> None:
     """Disks stiffen forward whirl; at rest both have one frequency, and the backward one comes first."""
     assert [row[1:3] for row in IN_SI("rotor").said["whirl"][0]] == [[0, 0]] + [[-1, 1]] * 3
+
+
+@THOROUGH
+def test_vibrations_of_a_design_are_the_same_alone_and_in_a_batch() -> None:
+    """Values, and derivatives of some of them."""
+    system, V = mechanism(World()), mbd.vibrations
+    angles, stiffness = mbd.deg([[20.0, -50.0], [35.0, -10.0], [80.0, 5.0]]), tensor(40.0, 60.0, 20.0)
+    results = []
+    for lanes in ([0, 1, 2], [1]):
+        designs = {SPRING: stiffness[lanes].requires_grad_(), ANGLES: angles[lanes].requires_grad_()}
+        motion = mbd.simulate(system, 0.01, steps=100, designs=designs, backend="eager")
+        measures = [
+            V.SystemFrequency(3),
+            V.DampingRatio(2),
+            V.FrequencyResponse("sheet", "leaf", (0.5, 12.0), place="right", direction="y"),
+        ]
+        values = [measure(motion) for measure in measures]
+        by_design = torch.autograd.grad(torch.stack(values).sum(), list(designs.values()), retain_graph=True)
+        values += [V.frozen_poles(motion), mbd.equilibrium(system, designs=designs, unstable=True).poles]
+        lane = lanes.index(1)
+        results.append([numbers(x[lane]) for x in (*values, *by_design)])
+    for x, y in zip(*results, strict=True):
+        torch.testing.assert_close(x, y, rtol=0.0, atol=1e-9 * float(y[y.isfinite()].abs().max()), equal_nan=True)
