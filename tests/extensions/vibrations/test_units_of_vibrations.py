@@ -111,7 +111,8 @@ def test_a_turning_disk_whirls_both_ways() -> None:
 def test_vibrations_of_a_design_are_the_same_alone_and_in_a_batch() -> None:
     """Values, and derivatives of some of them."""
     system, V = mechanism(World()), mbd.vibrations
-    angles, stiffness = mbd.deg([[20.0, -50.0], [35.0, -10.0], [80.0, 5.0]]), tensor(40.0, 60.0, 20.0)
+    angles = torch.stack([mbd.deg(x) for x in ([20.0, -50.0], [35.0, -10.0], [80.0, 5.0])])
+    stiffness = tensor(40.0, 60.0, 20.0)
     results = []
     for lanes in ([0, 1, 2], [1]):
         designs = {SPRING: stiffness[lanes].requires_grad_(), ANGLES: angles[lanes].requires_grad_()}
