@@ -14,7 +14,7 @@ import torch
 
 import torchmbd as mbd
 from torchmbd.design.response_spec import SpecError, measure_of
-from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.errors import InputError, nearest, unknown, within
 from torchmbd.study.file.faults import Fault, StudyError
 
 any_: Any = mbd
@@ -225,3 +225,12 @@ def test_the_nearest_name_is_one_that_begins_so(name, allowed, meant):
 
 def test_a_name_that_shares_letters_alone_is_not_proposed():
     assert nearest("weigh", ["model", "design", "simulate"]) == ""
+
+
+def test_a_remedy_is_given_once_where_an_error_passes_through_places():
+    """A name of a node within the argument of a body, with the nearest name and another remedy."""
+    error = within(
+        "body", within("reference", InputError("node", "left", ["left_edge", "top"], "an even number of cells"))
+    )
+    assert error.hint == "'left_edge', or an even number of cells"
+    assert within("reference", InputError("node", "tup", ["left_edge", "top"])).hint == "'top'"

@@ -214,7 +214,12 @@ def must_be_one(name: object, allowed: Iterable[object], hint: str = "") -> str:
 
 
 def _remedies(name: object, allowed: Iterable[object], hint: str) -> str:
-    return ", or ".join(x for x in (nearest(name, allowed), hint) if x)
+    near = nearest(name, allowed)
+    if hint == near or hint.startswith(
+        f"{near}, or "
+    ):  # of an error that is made again with another place, by `within`
+        return hint
+    return ", or ".join(x for x in (near, hint) if x)
 
 
 def _meant(name: str, options: list[str]) -> str | None:

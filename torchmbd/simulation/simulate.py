@@ -60,9 +60,10 @@ def simulate(
                 the reference) or "auto": native where there is a compiler and all laws can be traced. The same call gives the
                 same numbers every time
     start       "assembled": bodies as they were given, joints closed, flexible bodies undeformed or `bent`. "equilibrium": at
-                rest under gravity and forces, drives where they are at t = 0. A motion: its last state. Or numbers [...] or
-                [lanes, ...] for some bodies, {"rod.modal": ..., "load.velocity": ...}: position, axes, velocity,
-                angular_velocity, modal, modal_velocity. Then joints are closed and velocities made compatible
+                rest under gravity and forces, drives where they are at t = 0. A motion: its last state, where time begins at 0
+                again, also for laws of drives and loads; its locks do not act. Or numbers [...] or [lanes, ...] for
+                some bodies, {"rod.modal": ..., "load.velocity": ...}: position, axes, velocity, angular_velocity, modal,
+                modal_velocity. Then joints are closed and velocities made compatible
     progress    a bar of the simulated time on standard error; None: in a terminal or a notebook, where the motion takes more
                 than three seconds
     variables   names of the parameters whose gradients are wanted; default with "forward" and "reverse": all that require

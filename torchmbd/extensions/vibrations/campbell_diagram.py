@@ -36,6 +36,7 @@ from torchmbd.multibody.system import System
 from torchmbd.summary import Summary
 
 TIE = 1e-2  # of MAC, that decides between shapes alike: a pole and its conjugate at rest
+_EQUAL = 1e-6  # share of a pole: poles that differ by less are equal but for rounding
 _SHOWN = 12  # vibrations that a summary lists
 LOST = 0.4  # MAC; at equal frequencies the shapes of a round shaft at rest and in rotation have 0.5
 
@@ -122,6 +123,14 @@ def campbell(
     return CampbellDiagram(_speeds(states, shaft), frequencies, damping_ratios, s, follower.status, follower.whirl)
 
 
+def _ordered(first: Tensor, last: Tensor, lost: Mapping[int, int]) -> list[int]:
+    """Vibrations with equal poles `first` [n] at the first speed, as of a round shaft at rest, in the order of their
+    frequencies at the `last` one [n]: rounding decides their order in the spectrum. Those that are lost come after others."""
+    near = (first[1:] - first[:-1]).abs() <= _EQUAL * first[1:].abs()
+    group = torch.cat([near.new_zeros(1), ~near])[: len(first)].cumsum(0).tolist()
+    return sorted(range(len(first)), key=lambda i: (group[i], i in lost, float(last[i])))
+
+
 def _speeds(states: SteadyStates, shaft: Shaft) -> Tensor:
     """Speeds [k] [rad/s]."""
     return (states.dynamics.data[SPIN][:, 0, : states.speeds] * shaft.direction[:, None]).sum(0)
@@ -132,14 +141,14 @@ class _Senses:
 
     def __init__(self, system: System, states: SteadyStates, shaft: Shaft):
         self.q, self.count, self.turns = states.q.detach(), states.speeds, shaft.observer == TURNING
-        center = torch.as_tensor(shaft.center, dtype=torch.float64)
+        self.sizes = states.sizes
         designs = self.q.shape[-1] // states.speeds
         modes = [{name: x[i if len(x) > 1 else 0].detach() for name, x in states.modes.items()} for i in range(designs)]
-        self.whirls = [Whirl(system, states.dynamics.topology, each, shaft.direction, center) for each in modes]
+        self.whirls = [Whirl(system, states.dynamics.topology, each, shaft) for each in modes]
 
     def __call__(self, lane: int, spectrum: Spectrum, speed: float) -> Tensor:
         """1, -1 or 0 of each pole [k], as in `CampbellDiagram`."""
-        m = self.whirls[lane // self.count].orders(spectrum, self.q[:, 0, lane])
+        m = self.whirls[lane // self.count].orders(spectrum, self.q[:, 0, lane], self.sizes[lane])
         seen = spectrum.values.imag + (m * speed if self.turns else 0.0)
         return (seen * m * speed).nan_to_num(0.0).sign().long()
 
@@ -187,7 +196,8 @@ class _Follower:
             for i in (likeness.gather(1, chosen[:, None])[:, 0] < LOST).nonzero()[:, 0].tolist():
                 lost.setdefault(i, k)
             path.append(torch.tensor([-1 if i in lost else n for i, n in enumerate(chosen.tolist())], dtype=torch.long))
-        return torch.stack(path), lost
+        order = _ordered(states[0].poles[path[0]], here.poles[chosen].imag.abs(), lost)
+        return torch.stack(path)[:, order], {order.index(i): k for i, k in lost.items()}
 
     def _status(self, lost: dict[int, int]) -> str:
         gone = ", ".join(f"vibration {i + 1} from {self.speeds[k]:.4g} rad/s on" for i, k in lost.items())

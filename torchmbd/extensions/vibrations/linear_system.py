@@ -23,10 +23,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.extensions.vibrations.moving_state import MovingLinearization, time_index
-from torchmbd.extensions.vibrations.port_functions import PortFunctions, Ports
+from torchmbd.extensions.vibrations.port_functions import PORTS, PortFunctions, Ports
 from torchmbd.math.checked_numbers import is_whole, list_of, reals
-from torchmbd.math.pair import Pair
-from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equilibrium.equilibrium import SPIN
 from torchmbd.multibody.equilibrium.linearized import Linearization, factored_inertia
 from torchmbd.multibody.equilibrium.steady_rotation import Observer, ObserverAtRest
@@ -37,13 +35,12 @@ from torchmbd.results.motion_data import has_failed
 from torchmbd.results.trajectory import Trajectory
 from torchmbd.simulation.equilibrium import Equilibrium, equilibrium
 
-_PORTS = "inputs and outputs"
-_BALANCED = 1e-6  # of forces and stiffness times 1 m, and violation of joints [m]: far above those of an equilibrium
-# Of a motion: violation of joints [m], [m/s]; share of the accelerations that steps may be off.
-_KEPT, _SAME = (
-    1e-3,
-    0.05,
-)
+# Of works of forces and stiffness by increments of the sizes of the coordinates, and violation of joints as a share of these.
+_BALANCED = 1e-6  # far above those of an equilibrium
+# Of a motion, all in increments of the coordinates as shares of their sizes: violation of joints, and of their rates as a
+# share of the largest rate of the motion; accelerations that steps may be off, as a share of those of the state and of the
+# largest of the motion. What moves the mechanism by less than _STILL in the duration of the motion does not count.
+_KEPT, _SAME, _STILL = 1e-3, 0.05, 1e-4
 _UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that of one coordinate
 
 
@@ -185,7 +182,7 @@ def checked_ports(inputs: Any, outputs: Any) -> tuple[list[Actuator], list[Signa
 
 def system_with_ports(system: System, ports: Ports, inputs: Sequence[Actuator], outputs: Sequence[Signal]) -> System:
     """The system with actuators that `ports` sets and signals that `link_of_ports` reads."""
-    probe = Controller(ports, outputs, inputs, name=_PORTS)
+    probe = Controller(ports, outputs, inputs, name=PORTS)
     nodes = {id(node) for beam in system.beams for node in beam.node_bodies}
     names = [body.name for body in (*system.bodies, *system.beams) if id(body) not in nodes]
     return System(system.bodies, system.joints, [*system.forces, probe], system.gravity, free=names)
@@ -193,7 +190,7 @@ def system_with_ports(system: System, ports: Ports, inputs: Sequence[Actuator], 
 
 def link_of_ports(dynamics: Any) -> Any:
     """The link of a system with ports."""
-    return next(link for link in dynamics.topology.links.each if link.control.name == _PORTS)
+    return next(link for link in dynamics.topology.links.each if link.control.name == PORTS)
 
 
 class _Coefficients(NamedTuple):
@@ -222,10 +219,13 @@ def _about_rest(dynamics: Any, q: Tensor, state: Equilibrium, lane: int, k: int)
             "state", state, "mbd.equilibrium(...) of this system", state="is not an equilibrium of the system"
         )
     factored_inertia(rest.inertia)
-    rest = replace(rest, N=rest.N / rest.N.norm(dim=0))  # coordinates that are single increments have their units
+    # Each freedom moves its largest coordinate by one, so that it has the unit of this coordinate.
+    parts = rest.N / rest.scale[rest.active, None]
+    largest = parts.abs().argmax(0)
+    rest = replace(rest, N=rest.N / rest.N.gather(0, largest[None]).abs())
     N = torch.zeros(len(rest.forces), rest.N.shape[1], dtype=q.dtype)
     N[rest.active] = rest.N
-    C, names = rest.reduced(rest.C), _freedoms(dynamics.topology, N)
+    C, names = rest.reduced(rest.C), _freedoms(dynamics.topology, parts, rest.active[largest])
     return _Coefficients(rest.inertia, C, rest.stiffness, N, torch.zeros_like(N), observer, names)
 
 
@@ -234,14 +234,18 @@ def _about_motion(
 ) -> _Coefficients:
     v, a = (x[lane, k].detach() for x in (state.v, state.a))
     moving = MovingLinearization.of(dynamics, q, v[:, None, None], state.t[k].detach(), coordinates)
-    change = (moving.observer.a[:, 0, 0] - a).abs().max()
-    if not (moving.violation <= _KEPT and float(change) <= _SAME * float(a.abs().max()) + _KEPT):
+    speed, fastest = (float((x[lane].detach() / moving.scale).abs().nan_to_num().max()) for x in (state.v, state.a))
+    duration, opening = float(state.t[-1] - state.t[0]), moving.violation
+    change = float(((moving.observer.a[:, 0, 0] - a) / moving.scale).abs().max())
+    near = _SAME * float((a / moving.scale).abs().max()) + _KEPT * fastest + _STILL / duration**2
+    if not (opening[0] <= _KEPT and opening[1] <= _KEPT * speed + _STILL / duration and change <= near):
         raise InputError(
             "state",
             state,
             "mbd.simulate(...) of this system, with small steps",
-            state=f"is not a motion of the system, because its joints are open by {moving.violation:.2g} m "
-            f"or m/s and its accelerations differ by {float(change):.2g} m/s2 or rad/s2",
+            state=f"is not a motion of the system: its joints are open by {opening[0]:.2g} of the size of the mechanism and "
+            f"part at {opening[1]:.2g} of the size per second, and its accelerations are off by {change:.2g} of the size per "
+            f"second squared, where at most {near:.2g} is accepted",
         )
     names = [dynamics.topology.rate_name(row) for row in moving.rows]
     factored_inertia(moving.M)  # refuses what moves without a mass
@@ -260,43 +264,33 @@ def _matrices(
 ) -> LinearSystem:
     T, data = dynamics.topology, dynamics.data
     N, observer, n = small.N, small.observer, small.N.shape[1]
-    zero, still = q.new_zeros(T.n_v, 1, 1), torch.zeros_like(N)
-    excitation = T.prescribed(t, data)
+    functions, still = PortFunctions(T, t, ports, link.read), torch.zeros_like(N)
 
     def signals(x: Tensor, xd: Tensor) -> Tensor:
-        near, v, _ = observer.perturbed(T, q, *(Pair.of(zero, y[..., None]) for y in (x, xd, still)))
-        at = equations.placement(T, data, near, excitation)
-        y = T.links.signals(equations.action_states(T, data, at, v), t)
-        return y.index_select(0, link.read).tangent[..., 0]
+        return functions.outputs(q, data, observer, x[..., None], xd[..., None])[..., 0]
 
-    def forces(u: Tensor) -> Tensor:
-        ports.u = u
-        near, v, a = observer.perturbed(T, q, zero, zero, zero)
-        at = equations.placement(T, data, near, excitation)
-        residual = equations.dynamic_residual(T, data, at, v, a, q.new_zeros(T.rows, 1, 1))
-        return -observer.rows(T, q, residual)[:, 0, 0]
-
-    PortFunctions(T, t, ports, link.read).require_steady(q, data, observer)
-    none = torch.zeros_like(ports.u)
-    unit = torch.stack([forces(u) for u in torch.eye(len(none), dtype=q.dtype)], 1) - forces(none)[:, None]
-    ports.u = none
-    A, B = q.new_zeros(2 * n, 2 * n), q.new_zeros(2 * n, len(none))
+    functions.require_steady(q, data, observer)
+    unit = torch.stack([functions.forces(q, data, observer, k)[:, 0, 0] for k in range(len(ports.u))], 1)
+    A, B = q.new_zeros(2 * n, 2 * n), q.new_zeros(2 * n, len(ports.u))
     A[:n, n:] = torch.eye(n, dtype=q.dtype)
     A[n:, :n], A[n:, n:] = (0.0 - torch.linalg.solve(small.M, x) for x in (small.K, small.C))
     B[n:] = torch.linalg.solve(small.M, N.T @ unit)
     C = torch.cat([signals(N, small.N1), signals(still, N)], 1)
-    D = np.zeros((len(C), len(none)))
+    D = np.zeros((len(C), len(ports.u)))
     states = [*small.names, *(f"rate of {name}" for name in small.names)]
     return LinearSystem(A.numpy(), B.numpy(), C.numpy(), D, states, inputs, outputs, N.numpy())
 
 
-def _freedoms(T: Any, N: Tensor) -> list[str]:
-    """Names of increments: of one coordinate, or of the one that moves most."""
-    names = []
-    for k, x in enumerate(N.T, 1):
-        row = int(x.abs().argmax())
-        names.append(T.rate_name(row) if float(x[row].abs()) > _UNIT else f"freedom {k}, most {T.rate_name(row)}")
-    return names
+def _freedoms(T: Any, parts: Tensor, rows: Tensor) -> list[str]:
+    """Names of freedoms: of one coordinate, or of the one that moves most.
+
+    parts   increments of the coordinates divided by their sizes [active, n];  rows: of v, those that move most [n]
+    """
+    single = (parts.abs().amax(0) > _UNIT * parts.norm(dim=0)).tolist()
+    names = [T.rate_name(row) for row in rows.tolist()]
+    return [
+        name if one else f"freedom {k}, most {name}" for k, (name, one) in enumerate(zip(names, single, strict=True), 1)
+    ]
 
 
 def _names(ports: Sequence[Any]) -> list[str]:

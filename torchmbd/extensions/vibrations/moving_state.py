@@ -11,6 +11,8 @@ z = E x are some of them: E selects rows. N turns with the constraints; N' and N
 along any perturbed motion. M, C and K are N' times the derivative of the residual of the equations of motion along x, x' and
 x'', with the multipliers of the state. So d/dt (z, z') = A(t) (z, z') is exact along the motion, to first order in z.
 A state that is off the constraints by errors of the steps is projected onto them first.
+Ranks, and the choice of coordinates, are those of increments divided by their sizes s (coordinate_scale.py): they do not
+depend on units.
 Eigenvalues of A at one time are not invariants: coordinates c(t) z have other ones. What grows over a time follows from A(t)
 of all of it. About a state at rest all coordinates have the same eigenvalues.
 Differentiable with respect to the state and the data.
@@ -31,11 +33,12 @@ from torchmbd.math.checked_numbers import list_of, scalar
 from torchmbd.math.pair import Pair, cat, cross, value
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.topology import Topology
+from torchmbd.multibody.equilibrium.coordinate_scale import coordinate_scale
 from torchmbd.multibody.equilibrium.linearized import factored_inertia, null_space, unpadded_rates
 from torchmbd.multibody.saddle.rank import RELATIVE
 from torchmbd.results.trajectory import Trajectory
 
-# Share of the largest part of a freedom that a row has at least, [rad] to [m] or to [-]: smaller ones are poor coordinates.
+# Share of the largest part of a freedom, in increments divided by their sizes, that a coordinate has at least.
 _PART = 1e-3
 _ROUNDING = 1e-12  # of terms that cancel
 _PROJECTIONS = 2  # onto the constraints: the second squares what the first leaves
@@ -71,7 +74,9 @@ class MovingLinearization:
     N, N1           [n_v, n] and its rate
     M, C, K         [n, n] of the module header
     observer, lam   the state, and its multipliers [rows, 1, 1]
-    violation       of the constraints and of their rates by the state, [m] or [m/s], which is projected onto them
+    scale           sizes of the coordinates [n_v]
+    violation       of the constraints by the state, which is projected onto them, as a share of the mechanism's size, and of
+                    their rates [1/s]
     """
 
     rows: list[int]
@@ -82,7 +87,8 @@ class MovingLinearization:
     K: Tensor
     observer: MovingState
     lam: Tensor
-    violation: float
+    scale: Tensor
+    violation: tuple[float, float]
 
     @property
     def A(self) -> Tensor:
@@ -105,10 +111,15 @@ class MovingLinearization:
         excitation, zero = T.prescribed(t, data), q.new_zeros(T.n_v, 1, 1)
         [active] = unpadded_rates(T, data, 1)
         kept = [i for i in range(T.rows) if i not in dynamics.rank.left_out]
-        violation = 0.0
+        plain = {name: x.detach() for name, x in data.items()}
+        scale = coordinate_scale(T, plain, equations.placement(T, plain, q.detach(), excitation.values()), q.detach())[
+            :, 0
+        ]
+        s = scale[active]
+        violation = 0.0, 0.0
         for _ in range(_PROJECTIONS if kept else 0):
-            step, speed, size = _closing(dynamics, q, v, t, active, kept)
-            violation = max(violation, size)
+            step, speed, sizes = _closing(dynamics, q, v, t, active, kept, s)
+            violation = max(violation[0], sizes[0]), max(violation[1], sizes[1])
             q, v = equations.advance(T, q, step), v + speed
         a, lam = _accelerations(dynamics, q, v, t)
         observer = MovingState(v, a)
@@ -123,17 +134,17 @@ class MovingLinearization:
             return equations.constraint_jets(T, at, data, v, a, t)
 
         Phi_q = _jacobian(T, data, q, excitation)[kept][:, active] if kept else q.new_zeros(0, len(active))
-        basis = null_space(Phi_q.detach(), q.new_ones(len(active)))
+        basis = null_space(Phi_q.detach(), s) / s[:, None]
         rows = independent_rows(T, active, basis) if coordinates is None else _rows(T, active, basis, coordinates)
         place = {row: i for i, row in enumerate(active.tolist())}
         E = torch.eye(len(active), dtype=q.dtype)[[place[row] for row in rows]]
-        size = Phi_q.detach().norm(dim=1, keepdim=True)
-        inverse = torch.linalg.pinv(torch.cat([Phi_q / size, E]), rtol=RELATIVE)
+        size = (Phi_q.detach() * s).norm(dim=1, keepdim=True)
+        inverse = s[:, None] * torch.linalg.pinv(torch.cat([Phi_q * s / size, E]), rtol=RELATIVE)
 
         def full(x: Tensor) -> Tensor:
             return x.new_zeros(T.n_v, x.shape[1]).index_copy(0, active, x)
 
-        N = full(inverse[:, len(kept) :])
+        N = full(inverse[:, len(kept) :] / scale[rows])
         none = torch.zeros_like(N)
 
         def closing(jet: Any) -> Tensor:
@@ -151,7 +162,7 @@ class MovingLinearization:
         M = along(none, none, N)
         C = _sum([along(none, N, none), along(none, none, 2.0 * N1)])
         K = _sum([along(N, none, none), along(none, N1, none), along(none, none, N2)])
-        return cls(rows, N, N1, M, C, K, observer, lam, violation)
+        return cls(rows, N, N1, M, C, K, observer, lam, scale, violation)
 
 
 def time_index(motion: Trajectory, time: float | None, name: str = "state") -> int:
@@ -186,16 +197,19 @@ def _jacobian(T: Topology, data: Any, q: Tensor, excitation: Any) -> Tensor:
 
 
 def _closing(
-    dynamics: Any, q: Tensor, v: Tensor, t: Tensor, active: Tensor, kept: list[int]
-) -> tuple[Tensor, Tensor, float]:
-    """Increments of q and v [n_v, 1, 1] that close what steps left open of the constraints and their rates, and its size."""
+    dynamics: Any, q: Tensor, v: Tensor, t: Tensor, active: Tensor, kept: list[int], s: Tensor
+) -> tuple[Tensor, Tensor, list[float]]:
+    """Increments of q and v [n_v, 1, 1] that close what steps left open of the constraints and their rates, and the largest
+    of each as a share of what increments by the sizes s [active] of the coordinates open."""
     T, data = dynamics.topology, {name: value(x) for name, x in dynamics.data.items()}
     excitation = T.prescribed(t, data)
-    back = torch.linalg.pinv(_jacobian(T, data, q, excitation)[kept][:, active], rtol=RELATIVE)
+    J = _jacobian(T, data, q, excitation)[kept][:, active] * s
+    size = J.detach().norm(dim=1, keepdim=True)
+    back = s[:, None] * torch.linalg.pinv(J / size, rtol=RELATIVE)
     jets = equations.constraint_jets(T, equations.placement(T, data, q, excitation), data, v, torch.zeros_like(v), t)
-    open_by = [x[kept, :, 0] for x in (jets.value, jets.velocity)]
+    open_by = [x[kept, :, 0] / size for x in (jets.value, jets.velocity)]
     step, speed = (v.new_zeros(T.n_v, 1, 1).index_copy(0, active, -(back @ x)[..., None]) for x in open_by)
-    return step, speed, max(float(x.detach().abs().max()) for x in open_by)
+    return step, speed, [float(x.detach().abs().max()) for x in open_by]
 
 
 def _accelerations(dynamics: Any, q: Tensor, v: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
@@ -210,8 +224,8 @@ def _accelerations(dynamics: Any, q: Tensor, v: Tensor, t: Tensor) -> tuple[Tens
 
 
 def independent_rows(T: Topology, active: Tensor, basis: Tensor) -> list[int]:
-    """Rows of v that are independent coordinates of a null space [active, n]: modes, then rotations, then displacements, of
-    each kind the row with the largest part of its own first."""
+    """Rows of v that are independent coordinates of a null space [active, n] of increments divided by their sizes: modes,
+    then rotations, then displacements, of each kind the row with the largest part of its own first."""
     n = basis.shape[1]
     rest, rows = basis.clone(), []
     for kind in (active >= 6 * T.bodies, active >= 3 * T.bodies, active >= 0):

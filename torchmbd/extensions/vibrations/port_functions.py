@@ -19,11 +19,12 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.pair import Pair
+from torchmbd.math.pair import Pair, cat
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.equilibrium.steady_rotation import GroundObserver, Observer, SteadyRotation
 
+PORTS = "inputs and outputs"  # name of their controller
 _SAME = 1e-6  # of the largest entry: a change by a turn that counts as none
 
 
@@ -52,19 +53,20 @@ class PortFunctions:
 
     def forces(self, q: Tensor, data: Any, observer: Observer, number: int = 0) -> Tensor:
         """F of the input of this number [n_v, 1, lanes] at q [n_q, 1, lanes]."""
-        T = self.topology
-        zero, none = q.new_zeros(T.n_v, 1, q.shape[-1]), q.new_zeros(T.rows, 1, q.shape[-1])
-        near, v, a = observer.perturbed(T, q, zero, zero, zero)
+        T, lanes = self.topology, q.shape[-1]
+        zero = q.new_zeros(T.n_v, 1, lanes)
+        near, v, _ = observer.perturbed(T, q, zero, zero, zero)
         at = equations.placement(T, data, near, T.prescribed(self.t, data))
-        off, residuals = torch.zeros_like(self.ports.u), []
-        on = off.clone()
-        on[number] = 1.0
-        try:
-            for self.ports.u in (off, on):
-                residuals.append(observer.rows(T, q, equations.dynamic_residual(T, data, at, v, a, none)))
-        finally:
-            self.ports.u = off
-        return residuals[0] - residuals[1]
+        [writes] = (link.writes for link in T.links.each if link.control.name == PORTS)
+        # The actuators alone: beside other forces on the mechanism, a unit that is small would be lost to rounding.
+        states, strengths, first = equations.action_states(T, data, at, v), [], 0
+        for s, _, direction in states:
+            unit = writes[first : first + len(s), number, None, None].expand(-1, 1, lanes)
+            strengths += [unit * d for d in direction]
+            first += len(s)
+        on_vectors = T.action_sum(*strengths)  # pyright: ignore[reportOptionalCall]
+        force = cat([x.flatten(0, 1) for x in equations.generalized_forces(T, data, at, on_vectors)])
+        return observer.rows(T, q, force if T.gather is None else T.gather(force))
 
     def outputs(self, q: Tensor, data: Any, observer: Observer, x: Tensor, xd: Tensor) -> Tensor:
         """Outputs [outputs, k, lanes] along increments and rates [n_v, k, lanes]."""

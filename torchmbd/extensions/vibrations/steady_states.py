@@ -24,6 +24,8 @@ from torchmbd.math.checked_numbers import differentiable_reals, reals
 from torchmbd.math.gradients import all_true
 from torchmbd.math.module_call import exclusive
 from torchmbd.multibody.bodies.frame import axis_index
+from torchmbd.multibody.equations import equations
+from torchmbd.multibody.equilibrium.coordinate_scale import coordinate_scale
 from torchmbd.multibody.equilibrium.equilibrium import SPIN
 from torchmbd.multibody.equilibrium.linearized import Linearization
 from torchmbd.multibody.equilibrium.steady_rotation import TURNING, SteadyRotation
@@ -99,6 +101,13 @@ class SteadyStates:
         """Eigenvalues [designs, speeds, k], as in eigenvalues.py."""
         values = eigenvalues(self.dynamics, self.q, self.t, self.rotation, kind, modes, symmetric, mean)
         return values.T.unflatten(0, (-1, self.speeds))
+
+    @property
+    def sizes(self) -> list[float]:
+        """Size of the machine of each lane [m], as in coordinate_scale.py."""
+        T, q = self.dynamics.topology, self.q.detach()
+        data = {name: x.detach() for name, x in self.dynamics.values().data.items()}
+        return coordinate_scale(T, data, equations.placement(T, data, q, T.prescribed(self.t, data)), q)[0].tolist()
 
     def linearization(self, lane: int) -> Linearization:
         """The linearized equations of a lane."""

@@ -19,10 +19,12 @@ import torch
 from torch import Tensor
 
 from torchmbd.extensions.vibrations.spectrum import Spectrum
+from torchmbd.extensions.vibrations.steady_states import Shaft
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.equations import equations
 from torchmbd.multibody.equations.topology import Topology
 from torchmbd.multibody.equilibrium.linearized import Linearization
+from torchmbd.multibody.equilibrium.steady_rotation import TURNING
 from torchmbd.multibody.system import System
 
 _ORDERS = (-3, -2, -1, 0, 1, 2, 3)  # of rings of nodes; points on the axis have the middle three
@@ -34,21 +36,22 @@ class Whirl:
     """How the vibrations of a system about an axis go around it.
 
     topology, modes   of the system, modes [nodes, 6, modes] of its flexible bodies by their names
-    direction         unit vector of the axis [3]; center: a point of it [3] [m]
+    shaft             its axis, and the observer: rotations are in axes of the bodies, or of the ground for one in the ground
     """
 
-    def __init__(
-        self, system: System, topology: Topology, modes: Mapping[str, Tensor], direction: Tensor, center: Tensor
-    ):
-        self.topology, self.modes, self.direction, self.center = topology, modes, direction, center
+    def __init__(self, system: System, topology: Topology, modes: Mapping[str, Tensor], shaft: Shaft):
+        self.topology, self.modes, self.direction = topology, modes, shaft.direction
+        self.center = torch.as_tensor(shaft.center, dtype=torch.float64)
+        self.in_body_axes = shaft.observer == TURNING
+        direction = self.direction
         self.nodes = {name: _nodes(system.body(name)) for name in topology.names[: topology.flexible]}
         least = int(direction.abs().argmin())
         first = torch.linalg.cross(direction, torch.eye(3, dtype=direction.dtype)[least])
         self.across = torch.stack([first / first.norm(), torch.linalg.cross(direction, first / first.norm())])
 
-    def orders(self, spectrum: Spectrum, q: Tensor) -> Tensor:
-        """m [k] of the vibrations about q [n_q]; nan for one that has several."""
-        parts = self._parts(spectrum.right, q)
+    def orders(self, spectrum: Spectrum, q: Tensor, size: float) -> Tensor:
+        """m [k] of the vibrations about q [n_q] of a machine of a size [m]; nan for one that has several."""
+        parts = self._parts(spectrum.right, q, size)
         m = torch.tensor(_ORDERS, dtype=q.dtype)
         result = torch.full((len(spectrum.values),), torch.nan, dtype=q.dtype)
         for number in spectrum.cluster.unique():
@@ -67,17 +70,18 @@ class Whirl:
             result[members] = torch.where(spread < _SURE, mean.real.round(), torch.nan)
         return torch.where(spectrum.values == 0.0, 0.0, result)  # free motions along the axis and about it
 
-    def _parts(self, x: Tensor, q: Tensor) -> list[Tensor]:
+    def _parts(self, x: Tensor, q: Tensor, size: float) -> list[Tensor]:
         """Parts [rows, k] of increments x [n_v, k] for each order, and all of them together [rows, k]."""
         T = self.topology
         r, p, _ = equations.split_q(T, q[:, None, None])
         r, A = r[..., 0, 0].T, rotation_matrix(p)[..., 0, 0].permute(2, 0, 1)
         dr, dth, dw = (y.movedim(1, 0) for y in equations.split_v(T, x[:, None]))
-        dr, dth, dw = dr[:, :, 0], A.to(x.dtype) @ dth[:, :, 0], dw[:, :, 0]
+        turns = A.to(x.dtype) if self.in_body_axes else torch.eye(3, dtype=x.dtype)
+        dr, dth, dw = dr[:, :, 0], turns @ dth[:, :, 0], dw[:, :, 0]
         along = (r - self.center) @ self.direction
         places = [r, *(r[b] + s @ A[b].T for b, s in enumerate(self.nodes.values()))]
         ends = torch.cat([(y - self.center) @ self.direction for y in places])
-        length = float(ends.max() - ends.min()) or float(torch.cat(places).sub(self.center).norm(dim=1).max()) or 1.0
+        length = max(float(ends.max() - ends.min()), size)
         foot = self.center + along[:, None] * self.direction - r
         rows: dict[int | None, list[Tensor]] = {m: [] for m in (*_ORDERS, None)}
         for b in range(T.bodies):
@@ -133,17 +137,18 @@ def _nodes(body: Any) -> Tensor:
 class SeenFromGround:
     """A `Choice` of all vibrations, or of one by its number from 0 in rising order of what a fixed observer sees.
 
-    q, speeds   of all lanes: coordinates [n_q, 1, lanes], speeds [rad/s]
+    q, speeds, sizes   of all lanes: coordinates [n_q, 1, lanes], speeds [rad/s], sizes of the machine [m]
     orders      m of the vibrations that are chosen [lanes, k];  chosen: their numbers in turning axes, of all lanes
     places      of the chosen vibration of each lane among these numbers [lanes, 1], or None: all
     """
 
-    def __init__(self, whirl: Whirl, q: Tensor, speeds: Tensor, number: int | None = None):
-        self.whirl, self.q, self.speeds, self.number = whirl, q.detach(), speeds.detach(), number
+    def __init__(self, whirl: Whirl, q: Tensor, speeds: Tensor, sizes: Sequence[float], number: int | None = None):
+        self.whirl, self.q, self.speeds, self.sizes, self.number = whirl, q.detach(), speeds.detach(), sizes, number
         self.orders, self.chosen, self.places = torch.zeros(0, 0), [0], torch.zeros(0, 0, dtype=torch.long)
 
     def __call__(self, spectra: Sequence[Spectrum], states: Sequence[Linearization]) -> Sequence[int]:
-        self.orders = torch.stack([self.whirl.orders(x, self.q[:, 0, i]) for i, x in enumerate(spectra)])
+        lanes = zip(spectra, self.q[:, 0].unbind(-1), self.sizes, strict=True)
+        self.orders = torch.stack([self.whirl.orders(*lane) for lane in lanes])
         self.chosen = list(range(self.orders.shape[1]))
         if self.number is not None:
             w = (torch.stack([x.values for x in spectra]) + self.orders * self.speeds[:, None]).abs()

@@ -251,10 +251,8 @@ def _seen_from_ground(
     system: System, states: SteadyStates, shaft: Shaft, speeds: Tensor, number: int | None = None
 ) -> SeenFromGround:
     modes = {name: x.reshape(-1, *x.shape[-3:])[0] for name, x in states.modes.items()}
-    center = torch.as_tensor(shaft.center, dtype=torch.float64)
-    return SeenFromGround(
-        Whirl(system, states.dynamics.topology, modes, shaft.direction, center), states.q, speeds, number
-    )
+    whirl = Whirl(system, states.dynamics.topology, modes, shaft)
+    return SeenFromGround(whirl, states.q, speeds, states.sizes, number)
 
 
 @dataclass(frozen=True)
