@@ -71,7 +71,7 @@ def _mark(motion: Trajectory, part: Trajectory, lanes: Sequence[tuple[int, int]]
     for lane, k in lanes:
         if float(share[k]) > ALTERNATION:
             middle = 1 + int(change[k].argmax())
-            f, h = _largest_frequency(part, k, middle), float(part.t[middle + 1] - part.t[middle])
+            f, h = _largest_frequency(motion, lane, part, k, middle), float(part.t[middle + 1] - part.t[middle])
             if f * h * _STEPS > 1.0:
                 needed = math.ceil(round(_GOOD * f * float(part.t[-1]), 6))
                 motion.status[lane] = (
@@ -95,14 +95,16 @@ def alternations(motion: Trajectory) -> tuple[Tensor, Tensor]:
     return torch.where(inner, change, 0.0), torch.where(inner, size, 0.0)
 
 
-def _largest_frequency(motion: Trajectory, lane: int, time: int) -> float:
-    """The largest frequency of small vibrations about the state of a lane at a time [Hz]; 0: there are none."""
-    dynamics, q = motion.dynamics.values().select_lanes([lane]), motion.q[lane, time]
-    if motion.switches:  # rows of joints that are released, and of locks that do not act, have no multipliers
-        rows = torch.nonzero(motion.lam[lane, time])[:, 0].tolist()
+def _largest_frequency(motion: Trajectory, lane: int, part: Trajectory, k: int, time: int) -> float:
+    """The largest frequency of small vibrations about the state of a lane at a time of its part [Hz]; 0: there are none."""
+    dynamics, t = part.dynamics.values().select_lanes([k]), part.t[time]
+    if motion.switches:  # joints that are released and locks that do not act have no part in them
+        assert isinstance(motion.signals, IntegratedSignals)
+        assert motion.signals.integration is not None
+        rows = motion.signals.integration.rows_at(lane, float(t))
         dynamics = replace(dynamics, topology=dynamics.topology.selected(rows))
     try:
-        vibrations = Vibrations.of(Linearization.of(dynamics, q, motion.t[time], released=True))
+        vibrations = Vibrations.of(Linearization.of(dynamics, part.q[k, time], t, released=True))
     except DesignFailure:  # a part without inertia is free to move: frequencies are infinite
         return 0.0
     frequencies = vibrations.frequencies

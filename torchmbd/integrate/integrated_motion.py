@@ -97,6 +97,10 @@ class IntegratedMotion:
             return [self.dynamics.rank]
         return [record.dynamics.rank for record in self.history.run.records]
 
+    def rows_at(self, lane: int, t: float) -> list[int]:
+        """The constraint rows that act on a lane at a time [s]."""
+        return self.problem.segments[sum(float(switch.t[lane]) <= t for switch in self.switches)].rows
+
     @property
     def status(self) -> list[str]:
         """Of all lanes."""

@@ -100,6 +100,7 @@ class Integration(Protocol):
     expansion        leads from the states to those of the whole system, as a function of the data; None: they are the whole
     multipliers      those of all constraints [times, rows, pair, lanes] out of those that were integrated
     ranks            of the constraints that act in each part of the motion
+    rows_at          the constraint rows that act on a lane at a time [s]
     has_checkpoints  whether there are steps between the states that are kept
     at_all_steps     the states of one lane at all its steps; None: all were kept
     """
@@ -121,6 +122,8 @@ class Integration(Protocol):
 
     @property
     def has_checkpoints(self) -> bool: ...
+
+    def rows_at(self, lane: int, t: float) -> list[int]: ...
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None: ...
 

@@ -43,7 +43,7 @@ from torchmbd.integrate.phases.regular_steps import RegularSteps
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.phases.short_events import ShortEvents, ShortEventSearch, near_zero
 from torchmbd.integrate.smooth_start import SmoothStart
-from torchmbd.integrate.statistics import Statistics
+from torchmbd.integrate.statistics import TURN, Statistics
 from torchmbd.integrate.variable_step import MovingSteps, on_the_way, shortly_after
 from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, value
@@ -234,15 +234,18 @@ class _PhaseLoop:
         return self._function_values(times, states)
 
     def _require_instants(self, times: Tensor, states: History) -> None:
-        """InputError if the event's function of the first or last of these states depends on the other one."""
+        """InputError if the event's function of the first or second of these states depends on the other one."""
         assert self.event is not None
-        last = len(times) - 1
-        g, of_first, of_last = (
+        # Angles of a lane that diverges may count other full turns between two states than in one of them.
+        speed = (states.v[:2, :, 0].abs() / self.condensed.sizes.v).amax((0, 1))
+        sound = float(times[1] - times[0]) * speed <= TURN
+        g, of_first, of_second = (
             self._function_values(times[k], History(states.q[k], states.v[k], states.vd[k], states.lam[k]))
-            for k in (torch.tensor(pair) for pair in ([0, last], [0, 0], [last, last]))
+            for k in (torch.tensor(pair) for pair in ([0, 1], [0, 0], [1, 1]))
         )
-        self.event.require_instants(g, torch.stack([of_first[:, 0], of_last[:, 1]], 1))
-        self.is_of_instants = bool((states.q[0] != states.q[last]).any())  # else both are one state
+        alone = torch.stack([of_first[:, 0], of_second[:, 1]], 1)
+        self.event.require_instants(g[sound], alone[sound])
+        self.is_of_instants = bool((states.q[0] != states.q[1])[..., sound].any())  # else both are one state
 
     def _function_values(self, times: Tensor, states: History) -> Tensor:
         """The event's function [lanes, points] of condensed states at these times."""

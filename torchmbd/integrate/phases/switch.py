@@ -86,10 +86,11 @@ def data_with_marks(T: Topology, data: Data, q: Any, locks: Sequence[Lock]) -> D
 
 
 def _solve(B: Any, y: Any) -> Any:
-    """B^-1 y of numbers [3, 3, ...] and [3, ...]."""
+    """B^-1 y of numbers [3, 3, ...] and [3, ...]; nan where B is singular, as in a lane that has diverged."""
 
     def times(x: Tensor) -> Tensor:
-        return torch.linalg.solve(value(B)[:, :, 0].movedim(-1, 0), x.permute(2, 0, 1)).permute(1, 2, 0)
+        solution, info = torch.linalg.solve_ex(value(B)[:, :, 0].movedim(-1, 0), x.permute(2, 0, 1))
+        return torch.where(info[:, None, None] == 0, solution, torch.nan).permute(1, 2, 0)
 
     x = times(value(y))
     if not isinstance(y, Pair):
