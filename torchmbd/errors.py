@@ -232,9 +232,9 @@ def _meant(name: str, options: list[str]) -> str | None:
             if meaning in options:
                 return meaning
     close = _closest(name, options)
-    if close is None or close[:1].lower() == name[:1].lower():
-        return close
-    return close if difflib.SequenceMatcher(None, name.lower(), close.lower()).ratio() >= _MISSPELT else None
+    letters, near = ("".join(filter(str.isalnum, x.lower())) for x in (name, close or ""))
+    alike = letters[:1] == near[:1] or difflib.SequenceMatcher(None, letters, near).ratio() >= _MISSPELT
+    return close if alike else None
 
 
 def _closest(name: str, options: list[str]) -> str | None:

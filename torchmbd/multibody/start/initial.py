@@ -99,7 +99,7 @@ def of_modes(name: str, x: Tensor, count: int, modes: int) -> Tensor:
 
 def _size(T: Topology, bodies: list[Any], q: Tensor, built: Tensor) -> float:
     """The size [m] of bodies at coordinates q [n_q] with attached vectors [3, vectors, 1]: without extent the largest radius of
-    gyration of a rigid body, or 1 m."""
+    gyration of a rigid body, or of the nodes of a flexible one, or 1 m."""
     r, p, _ = equations.split_q(T, q[:, None, None])
     points = [r[:, :, 0]]
     for i, (attached, body) in enumerate(zip(T.attached, T.vector_body.tolist(), strict=True)):
@@ -111,8 +111,10 @@ def _size(T: Topology, bodies: list[Any], q: Tensor, built: Tensor) -> float:
     rigid = [
         (untransformed(x).detach() for x in (b.second_moment, b.mass)) for b in bodies if hasattr(b, "second_moment")
     ]
-    moments = [(P.diagonal(dim1=-2, dim2=-1).sum(-1) / mass).max() for P, mass in rigid]
-    size, gyration = float(extent(torch.cat(points, 1))), max(map(float, moments), default=0.0) ** 0.5
+    squares = [(P.diagonal(dim1=-2, dim2=-1).sum(-1) / mass).max() for P, mass in rigid]
+    nodes = [untransformed(b.mesh.nodes).detach() for b in bodies if hasattr(b, "mesh")]
+    squares += [(x - x.mean(-2, keepdim=True)).square().sum(-1).mean() for x in nodes]
+    size, gyration = float(extent(torch.cat(points, 1))), max(map(float, squares), default=0.0) ** 0.5
     return size if size > _WITHOUT_EXTENT * gyration else gyration or 1.0
 
 
