@@ -37,6 +37,7 @@ from torchmbd.simulation.equilibrium import Equilibrium, equilibrium
 
 # Of works of forces and stiffness by increments of the sizes of the coordinates, and violation of joints as a share of these.
 _BALANCED = 1e-6  # far above those of an equilibrium
+_ROUNDED = 1e-9  # share of a part of a freedom: parts that differ by rounding
 # Of a motion, all in increments of the coordinates as shares of their sizes: violation of joints, and of their rates as a
 # share of the largest rate of the motion; accelerations that steps may be off, as a share of those of the state and of the
 # largest of the motion. What moves the mechanism by less than _STILL in the duration of the motion does not count.
@@ -221,7 +222,8 @@ def _about_rest(dynamics: Any, q: Tensor, state: Equilibrium, lane: int, k: int)
     factored_inertia(rest.inertia)
     # Each freedom moves its largest coordinate by one, so that it has the unit of this coordinate.
     parts = rest.N / rest.scale[rest.active, None]
-    largest = parts.abs().argmax(0)
+    near_largest = parts.abs() >= (1.0 - _ROUNDED) * parts.abs().amax(0, keepdim=True)
+    largest = near_largest.int().argmax(0)  # the first of equal ones
     rest = replace(rest, N=rest.N / rest.N.gather(0, largest[None]).abs())
     N = torch.zeros(len(rest.forces), rest.N.shape[1], dtype=q.dtype)
     N[rest.active] = rest.N
