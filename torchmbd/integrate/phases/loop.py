@@ -237,8 +237,9 @@ class _PhaseLoop:
         """InputError if the event's function of the first or second of these states depends on the other one."""
         assert self.event is not None
         # Angles of a lane that diverges may count other full turns between two states than in one of them.
-        speed = (states.v[:2, :, 0].abs() / self.condensed.sizes.v).amax((0, 1))
-        sound = float(times[1] - times[0]) * speed <= TURN
+        turns = self.condensed.topology.rate_kinds == 0
+        spin = torch.where(turns[:, None], states.v[:2, :, 0].abs(), 0.0).amax((0, 1))
+        sound = float(times[1] - times[0]) * spin <= TURN
         g, of_first, of_second = (
             self._function_values(times[k], History(states.q[k], states.v[k], states.vd[k], states.lam[k]))
             for k in (torch.tensor(pair) for pair in ([0, 1], [0, 0], [1, 1]))
