@@ -12,6 +12,7 @@ import torchmbd as mbd
 from tests.mechanisms import INERTIA, turned
 from tests.refused import refused
 
+pytestmark = pytest.mark.extensions  # eigenvalues of equilibria
 GROUND, AXES = mbd.Ground(), turned(0.4, -0.7, 0.3)
 RATIOS = [10.0**n for n in range(16)]
 HELD = [ratio for ratio in RATIOS if ratio <= 1e12]  # in which double precision finds an equilibrium
