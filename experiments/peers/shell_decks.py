@@ -117,15 +117,15 @@ def first_frequencies(k: scipy.sparse.csc_array, m: scipy.sparse.csc_array) -> t
 
 
 def derivative(assembly: Any, thickness: torch.Tensor, f: np.ndarray, vectors: np.ndarray) -> float:
-    """Of the mean of frequencies [Hz] by a thickness [m], with their vectors held."""
+    """The derivative of the mean of frequencies f [Hz] by a thickness [m]; the vectors do not change with it."""
     sides = []
     with torch.no_grad():
-        given = thickness.clone()
+        nominal = thickness.clone()
         for factor in (1.0 + STEP, 1.0 - STEP):
-            thickness.copy_(factor * given)
+            thickness.copy_(factor * nominal)
             sides.append(matrices(assembly))
-            thickness.copy_(given)
-    dk, dm = ((a - b) / (2.0 * STEP * float(given)) for a, b in zip(*sides, strict=True))
+            thickness.copy_(nominal)
+    dk, dm = ((a - b) / (2.0 * STEP * float(nominal)) for a, b in zip(*sides, strict=True))
     squares = (2.0 * math.pi * f) ** 2
     slopes = (vectors * (dk @ vectors)).sum(0) - squares * (vectors * (dm @ vectors)).sum(0)
     return float((slopes / (8.0 * math.pi**2 * f)).mean())

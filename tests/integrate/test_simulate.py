@@ -324,9 +324,14 @@ def test_a_motion_that_leaves_has_failed():
     system = mbd.System([body], [], [damper], free=["mass"])
     motion = mbd.simulate(system, 0.1, steps=100, gradients="none")
     assert motion.status[0].startswith("failed: from t = 0.03")
+    assert "1e+13 times the size of the mechanism away" in motion.status[0]
     assert not bool(torch.isfinite(motion.q[0, -1]).any())
     assert float(motion.q[0, 25, 0].abs()) < 3e8
     orbit = mbd.System(
         [mbd.RigidBody("probe", 1.0, (0.01,) * 3, position=(1e11, 0, 0), velocity=(0, 3e4, 0))], free=["probe"]
     )
     mbd.simulate(orbit, 1e5, steps=20, gradients="none").require_ok()
+    shot = mbd.System(  # 400 m/s in micrometers
+        [mbd.RigidBody("shot", 1.0, (1e10,) * 3, position=(0, 0, 0), velocity=(4e8, 0, 0))], free=["shot"]
+    )
+    mbd.simulate(shot, 0.1, steps=20, gradients="none").require_ok()

@@ -70,7 +70,7 @@ def study(method: str, starts: int, **options) -> mbd.Study:
 
 
 @pytest.fixture
-def own(folder, empty_store, monkeypatch):
+def store_in_folder(folder, empty_store, monkeypatch):
     """A folder with a store of its own."""
     monkeypatch.chdir(folder)
     monkeypatch.delenv("TORCHMBD_STORE")
@@ -80,7 +80,7 @@ def own(folder, empty_store, monkeypatch):
 @pytest.mark.thorough
 @pytest.mark.parametrize("method", ["slsqp", "mmfd", "auto"])
 @pytest.mark.parametrize("starts", [1, 3])
-def test_a_run_takes_the_simulations_that_were_promised(own, method, starts):
+def test_a_run_takes_the_simulations_that_were_promised(store_in_folder, method, starts):
     """The promise was 1.7 for each iteration "at most"; peaks have kinks, along which SLSQP took 8.6."""
     page, of_run = io.StringIO(), io.StringIO()
     search = study(method, starts)
@@ -96,7 +96,7 @@ def test_a_run_takes_the_simulations_that_were_promised(own, method, starts):
 
 
 @pytest.mark.thorough
-def test_a_limit_is_told_and_kept(own):
+def test_a_limit_is_told_and_kept(store_in_folder):
     page = io.StringIO()
     search = study("slsqp", 2, max_analyses=9)
     print_estimate(search, Console(file=page, width=200))

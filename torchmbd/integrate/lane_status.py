@@ -34,8 +34,9 @@ IMPRECISE = 1e-3
 STEP_ERROR = 3.0
 # Of accelerations: vibrations with less than five steps to a period.
 ALTERNATION = 0.3
-# Times the size of the mechanism, by which no motion leaves it or would in its duration: rounding of positions is then a
-# thousandth of that size. A probe of 5 m that orbits the sun is 3e10 sizes away, and moves by 2e11 of them in a year.
+# A motion is possible if no body is so many sizes of the mechanism away, and none moves so far within the duration: there
+# rounding of positions is a thousandth of the size. A probe of 5 m that orbits the sun is 3e10 sizes away, and moves by 2e11
+# sizes in a year.
 FAR = 1e13
 # Violation of a joint, as a share of the size of its row, at the end of a motion whose joints could not stay closed.
 _OPEN = 1e-4

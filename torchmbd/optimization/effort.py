@@ -32,7 +32,7 @@ RATES = {
     "mma": (2.0, 35.0),
     "ccsaq": (2.0, 35.0),
 }
-_OTHERS = (1.2, 12.0)
+_OTHERS = (1.2, 12.0)  # not measured: a guess among those above
 _BEGINNING = 2
 _PARTS = 4  # at most: two of a coarse part and one finer, and the start by the last
 

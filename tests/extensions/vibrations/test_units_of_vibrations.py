@@ -34,7 +34,7 @@ def response(w: World, system: mbd.System, state: mbd.Trajectory) -> tuple[mbd.v
 
 
 def at_rest(w: World) -> Facts:
-    """Of a mechanism at an unstable equilibrium."""
+    """Poles and responses of a mechanism at an unstable equilibrium, in SI units."""
     system = mechanism(w)
     rest = mbd.equilibrium(system, unstable=True)
     linear, G = response(w, system, rest)

@@ -40,7 +40,8 @@ _BALANCED = 1e-6  # far above those of an equilibrium
 _ROUNDED = 1e-9  # share of a part of a freedom: parts that differ by rounding
 # Of a motion, all in increments of the coordinates as shares of their sizes: violation of joints, and of their rates as a
 # share of the largest rate of the motion; accelerations that steps may be off, as a share of those of the state and of the
-# largest of the motion. What moves the mechanism by less than _STILL in the duration of the motion does not count.
+# largest of the motion. A rate or an acceleration counts if it moves the
+# mechanism by more than _STILL, a share of its size, within the duration of the motion.
 _KEPT, _SAME, _STILL = 1e-3, 0.05, 1e-4
 _UNIT = 1.0 - 1e-9  # entry of an increment from which on it is said to be that of one coordinate
 
@@ -291,7 +292,8 @@ def _freedoms(T: Any, parts: Tensor, rows: Tensor) -> list[str]:
     single = (parts.abs().amax(0) > _UNIT * parts.norm(dim=0)).tolist()
     names = [T.rate_name(row) for row in rows.tolist()]
     return [
-        name if one else f"freedom {k}, most {name}" for k, (name, one) in enumerate(zip(names, single, strict=True), 1)
+        name if alone else f"freedom {k}, most {name}"
+        for k, (name, alone) in enumerate(zip(names, single, strict=True), 1)
     ]
 
 

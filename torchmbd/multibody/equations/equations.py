@@ -322,7 +322,7 @@ def constraint_forces(T: Topology, data: Data, at: Placement, lam):
 
 
 def applied_on_vectors(T: Topology, data: Data, at: Placement, v, held: bool = False):
-    """What the actions do to the attached vectors [3, vectors, ...], in ground axes; held: by strengths without tangents."""
+    """What the actions do to the attached vectors [3, vectors, ...], in ground axes. If `held`, strengths have no tangents."""
     states, forces = action_states(T, data, at, v), []
     for f, (_, _, direction) in zip(strengths(T, data, states, at.t), states, strict=True):
         f = value(f) if held else f

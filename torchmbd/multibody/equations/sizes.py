@@ -88,7 +88,7 @@ class Sizes(NamedTuple):
 
     @classmethod
     def of(cls, T: Topology, size: float, mass: Tensor) -> Sizes:
-        """Of bodies with masses [bodies, lanes]; size: as built [m]."""
+        """The sizes in a mechanism of a size [m], as built, whose bodies have masses [bodies, lanes] [kg]."""
         of_kinds = _size_of_kinds(T, size, mass)
         v = of_kinds[T.rate_kinds]
         multipliers = size**2 * mass.amax(0) / row_sizes(T, size)[:, 0]

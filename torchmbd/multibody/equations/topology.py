@@ -151,18 +151,18 @@ class Topology:
 
     @cached_property
     def rate_kinds(self) -> Tensor:
-        """What each rate is [n_v]: 0 an angular velocity, 1 a velocity, 2 + k of a mode of flexible body k."""
+        """Kinds of the rates [n_v]: 0 for angular velocities, 1 for velocities, 2 + k for modes of flexible body k."""
         n = 3 * self.bodies
         kinds = torch.tensor([1] * n + [0] * n + [2 + k for k in range(self.flexible)] * self.modes, dtype=torch.long)
         if self.rates is None:
             return kinds
-        # Of a body that is guided by joints the independent rates are some of its own, which are rows of one 1; else angles.
+        # Joints guide a body by independent rates. Most are rates of the body itself, rows with a single 1; others are angles.
         rows = torch.nonzero(((self.rates != 0.0).sum(1) == 1) & (self.rates.abs().amax(1) == 1.0))[:, 0]
         return kinds.new_zeros(self.n_v).index_copy(0, self.rates[rows].abs().argmax(1), kinds[rows])
 
     @cached_property
     def coordinate_kinds(self) -> Tensor:
-        """What each coordinate is [n_q], as `rate_kinds`."""
+        """Kinds of the coordinates [n_q]: 0 for angles and Euler parameters, 1 for displacements, 2 + k as in `rate_kinds`."""
         n, modal = self.bodies, [2 + k for k in range(self.flexible)] * self.modes
         return torch.tensor([1] * (3 * n) + [0] * (4 * n) + modal + [0] * self.turn_count, dtype=torch.long)
 

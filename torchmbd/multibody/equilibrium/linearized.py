@@ -183,7 +183,7 @@ class Linearization:
         def product_of(lane: int) -> Callable[[str, Tensor], Tensor] | None:
             if offset is not None or unstrained is not None or not isinstance(observer, ObserverAtRest):
                 return None
-            one = {name: x[..., lane : lane + 1] if x.shape[-1] > 1 else x for name, x in data.items()}
+            lane_data = {name: x[..., lane : lane + 1] if x.shape[-1] > 1 else x for name, x in data.items()}
             place, forces = q[..., lane : lane + 1], lam[:, None, lane : lane + 1]
 
             def product(directions: str, X: Tensor) -> Tensor:
@@ -191,10 +191,10 @@ class Linearization:
                 along, fixed = Pair.of(zero, X[..., None]), Pair.of(zero, torch.zeros_like(X)[..., None])
                 x, xd = (fixed, along) if directions == "rates" else (along, fixed)
                 at = equations.placement(
-                    T, one, equations.advance(T, place, x), excitation or T.prescribed(t, one).values()
+                    T, lane_data, equations.advance(T, place, x), excitation or T.prescribed(t, lane_data).values()
                 )
                 total = equations.geometric_residual if directions == "geometric" else equations.dynamic_residual
-                return total(T, one, at, xd, fixed, forces).tangent[..., 0]
+                return total(T, lane_data, at, xd, fixed, forces).tangent[..., 0]
 
             return product
 
@@ -346,7 +346,7 @@ class Linearization:
 
     @cached_property
     def geometric_stiffness(self) -> Tensor:
-        """Of weight, pretension and constraint forces [n_v, n_v], where `product` is known."""
+        """The stiffness of weight, pretension and constraint forces [n_v, n_v]; `product` must be known."""
         assert self.product is not None
         assert self.coupling is not None
         return self.coupling.matrix(self.product("geometric", self.coupling.directions))

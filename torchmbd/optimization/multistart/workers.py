@@ -105,9 +105,9 @@ class Workers:
             raise
         finally:  # nannies run in this process, and give its environment the threads of their workers
             names = {name for name, _ in before.items() ^ os.environ.items()}
-            own = {name: before.get(name) for name in names}
-            _set_environment(own)
-        self._left.callback(_set_environment, own)  # again: of workers that nannies started later
+            original = {name: before.get(name) for name in names}
+            _set_environment(original)
+        self._left.callback(_set_environment, original)  # again: of workers that nannies started later
         return self
 
     def _connect(self, start_here: Callable[[int], Any], client: Callable[..., Any]) -> None:
